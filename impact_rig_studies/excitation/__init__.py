@@ -11,4 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Excitation through a stream of samples: frequency response, random control, replicated histories, shocks."""
+"""Excitation tests that play a stream of samples to the shaker, as `impact-rig drive` does.
+
+They measure a frequency response, control a random spectrum, replicate a time history at a response, and play shocks.
+"""

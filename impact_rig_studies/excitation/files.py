@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Inputs of excitation tests: plans as YAML, and time histories from CSV, WAV, npz and other files, or from a run."""
+"""Inputs of excitation tests: readers of YAML plans, and of time histories in CSV, WAV, npz and other files or a run."""
 
 from __future__ import annotations
 
@@ -37,11 +37,15 @@ from impact_rig_studies.importing.limits import VALUES
 from impact_rig_studies.importing.units import unit_factor
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-MOST_RATIO = 1000  # limit of the smaller term of the ratio of two rates for resampling
+MOST_RATIO = 1000  # limit of the smaller of the two integers whose ratio is that of the new rate and the old one
 
 
 def load(path: Path, kind: type[P]) -> P:
-    """Read a plan of one kind; its keys are the attributes of the kind.
+    """Read the plan of an excitation test from a YAML file.
+
+    Args:
+        path: path of the file.
+        kind: class of the plan, such as `RandomPlan`, whose attributes are the keys of the file.
 
     Raises:
         ConfigError: a key or value is wrong; the message names key, value and file.
@@ -50,14 +54,18 @@ def load(path: Path, kind: type[P]) -> P:
 
 
 def read(document: object, kind: type[P]) -> P:
-    """Parse a plan from a YAML document.
+    """Convert a parsed YAML document, or a nested part of it, to a plan.
+
+    Args:
+        document: the document, which must be a mapping.
+        kind: class of the plan, whose attributes are the keys; keys that are missing have the default values.
 
     Raises:
-        ConfigError: as for `load`.
+        ConfigError: a key or value is wrong; the message names key and value.
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
-        raise ConfigError(f"a mapping is needed, with {', '.join(fields)}")
+        raise ConfigError(f"a mapping is needed, with some of the keys {', '.join(fields)}; got {str(document)[:60]!r}")
     values: dict[str, object] = {}
     for key, value in document.items():
         if key not in fields:
@@ -101,21 +109,25 @@ def history(
     scale: float = 1.0,
     file_hz: float | None = None,
 ) -> NDArray[np.float64]:
-    """Return a signal of a file or run in SI units, resampled.
+    """Read a time history from a file or a recorded run, convert it to SI units, and resample it for the rig.
 
     Args:
         path: a run, or a file that `impact-rig import` reads.
-        rate_hz: rate of the result.
+        rate_hz: number of samples per second of the result.
         wanted: SI unit of the result.
         name: name of the signal; None means the only one of a file, or `channel` of a run.
         channel: channel of a run; None means current.
-        unit: unit of the file's values, if it states none or a wrong one.
-        scale: factor of the values.
-        file_hz: rate of a file that states neither times nor a rate.
+        unit: unit of the file's values, if it states none or a wrong one; empty means that of the file.
+        scale: factor by which the values are multiplied.
+        file_hz: number of samples per second of a file that states neither times nor a rate.
+
+    Returns:
+        The samples, shape (n,).
 
     Raises:
-        ConfigError: signal or rate are ambiguous, or the unit is of another kind.
+        ConfigError: the signal or its rate is not known, or the unit is not one of the wanted quantity.
         RecordingError: the file is damaged, or scans of the run are missing.
+        BudgetError: the result would have too many samples.
     """
     if path.is_dir() or path.suffix == ".mcap":
         values, found_hz, unit = *_of_run(path, name or channel or "current"), ""
@@ -124,12 +136,15 @@ def history(
     if unit:
         to_si = unit_factor(unit, wanted)
         if to_si is None:
-            raise ConfigError(f"{path}: {unit!r} is no unit of {wanted}")
+            raise ConfigError(
+                f"{path}: {unit!r} is no unit of {wanted}, which is needed here: choose another signal, or state the "
+                "unit of its values with --unit"
+            )
         scale *= to_si
     if rate_hz < 1:
-        raise ConfigError(f"a rate must be a whole number of Hz above 0, got {rate_hz}")
+        raise ConfigError(f"the rate of the samples must be a whole number of Hz above 0, got {rate_hz}")
     if not len(values) or not np.all(np.isfinite(values)):
-        raise RecordingError(f"{path}: the signal has no samples, or some that are not finite")
+        raise RecordingError(f"{path}: the signal has no samples, or some that are not finite, and cannot be played")
     if rate_hz >= found_hz:
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
     else:  # the denominator leaves too few digits of a small number
@@ -144,15 +159,16 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
     with open_run(path) as run:
         tables = list(run.tables(topics.SCAN, recorded_order=True))
     if not tables or name not in (tables[0].rows.dtype.names or ()):
-        raise ConfigError(f"{path} has no channel {name!r}")
+        channels = ", ".join(tables[0].rows.dtype.names or ()) if tables else "none, as it contains no scans"
+        raise ConfigError(f"{path} has no channel {name!r}; its channels: {channels}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
     if not seconds > 0.0:
-        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are too few for a signal")
+        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are too few to play: at least two are needed")
     rate_hz = (len(rows) - 1) / seconds
     for table, after in itertools.pairwise(tables):
         if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
-            raise RecordingError(f"{path}: scans are missing; a signal to play must have no gap")
+            raise RecordingError(f"{path}: scans are missing in the run; a signal to play must have no gap")
     return rows, round(rate_hz, 3)
 
 
@@ -161,11 +177,14 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     if name is None and len(signals) == 1:
         name = next(iter(signals))
     if name is None or name not in signals:
-        raise ConfigError(f"{path}: which signal? --signal NAME of {', '.join(signals)[:300]}")
+        problem = "it has several" if name is None else f"it has no {name!r}"
+        raise ConfigError(f"{path}: which signal? {problem}; choose one by --signal NAME: {', '.join(signals)[:300]}")
     one = signals[name]
     rate = one.rate_hz or file_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
         rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
     if rate is None or not rate > 0.0:
-        raise ConfigError(f"{path}: the file states neither times nor a rate: add --file-rate HZ")
+        raise ConfigError(
+            f"{path}: the file states neither times nor a rate: add its samples per second with --file-rate HZ"
+        )
     return one.values, rate, unit or one.unit

@@ -11,18 +11,22 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Time histories: played unchanged, or replicated by a response through iterative learning.
+"""Time histories: `play` sends samples unchanged to the drive, `replicate` makes a response of the rig follow them.
+
+Replication is iterative learning in trials. X is the spectrum of the requested history, Y that of the measured
+response, H the response function from drive to response, and F⁻¹ the inverse Fourier transform:
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
 
-g is 1 and halves after each trial that is worse than the best one: with a sphere the response is not linear.
+The gain g is 1 and halves after each trial that is worse than the best one: with a sphere the response is not linear.
 
-A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`), and it is
-judged in the controlled band. The sensor's noise in that band and the uncertainty of its gain are the floor of an
-error.
+A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`). The error
+is judged in the controlled band. The floor of the error is what the sensor's noise in that band and the uncertainty of
+its gain can explain.
 
-H is measured first, on the lines of a repeated frame. The frame is longer than the structure rings, since 1 / H rings
-as long where the structure holds the base still. A trial begins and ends at rest and is corrected on the same lines.
+H is measured first, at the frequency lines of a repeated frame. The frame must be longer than the structure takes to
+stop ringing, since the impulse response of 1 / H is as long at an antiresonance of the base. A trial begins and ends at
+rest and is corrected at the same lines.
 """
 
 from __future__ import annotations
@@ -40,28 +44,28 @@ from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig_studies.excitation.response import Response
 from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
-LEAST_GAIN = 0.2  # a trial that is worse with a smaller gain than this ends the learning
+LEAST_GAIN = 0.2  # gain of a correction, below which the trials end
 
-ABOVE = 1.25  # multiple of the upper band edge at which the correction has faded out
-FRAMES = 3  # number of measured frames of the identification; one more precedes them
-BESIDE = 25  # number of lines over which the noise of a response function is averaged
-NOISES = 4.0  # multiple of its variance that limits |H|² from below
+ABOVE = 1.25  # frequency at which the correction has faded out, as a multiple of the upper band edge
+FRAMES = 3  # number of measured frames of the identification of H; one more precedes them
+BESIDE = 25  # number of frequency lines over which the noise of H is averaged
+NOISES = 4.0  # multiple of the variance of H's noise that is added to |H|² where it divides
 
 
 @attrs.frozen(kw_only=True)
 class ReplicatePlan:
-    """Settings of a replication.
+    """Settings of the replication of a time history by a response of the rig.
 
     Attributes:
         low_hz: lower edge of the band in which the drive is corrected; 0 includes the static value.
-        high_hz: its upper edge.
+        high_hz: upper edge of that band.
         iterations: maximum number of trials, including the first.
-        enough: relative error that is small enough.
-        rest_s: rest before and after the history [s].
-        identify_rms: rms of the drive while the response function is estimated [A].
-        identify_s: length of the frame [s]; four are played.
-        response: controlled response, of `RESPONSES`.
-        seed: seed of the random numbers.
+        enough: rms error over the rms of the requested history at which the trials end.
+        rest_s: time without drive before and after the history in each trial [s].
+        identify_rms: rms of the drive while the response function is measured [A].
+        identify_s: time by which a frame of that measurement is longer than a trial [s]; four frames are played.
+        response: response that follows the history, one of `Response`.
+        seed: seed of the random phases of that measurement.
     """
 
     low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
@@ -77,34 +81,42 @@ class ReplicatePlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Replicated:
-    """Requested history and the response, in the best trial so far."""
+    """Result of a replication after a trial: requested history, and drive and response of the best trial so far."""
 
     rate_hz: int  # samples per second
-    asked: Real  # shape (n,)
-    reached: Real  # shape (n,), within the controlled band
+    asked: Real  # requested history in the SI unit of the response, shape (n,)
+    reached: Real  # measured response of the best trial below the upper band edge, likewise
     linear: Real
-    """Response of the drive by H alone, shape (n,).
+    """Response that the measured H predicts for the drive of the best trial, likewise.
 
     If `reached` differs, the rig is not linear, or its sensors are noisy.
     """
-    drive: Real  # drive of the whole trial, shape (m,) [A]
-    lead: int  # samples before the history
-    errors: tuple[float, ...]  # rms error over rms of the requested history, trial by trial
+    drive: Real  # drive of the whole best trial, with the rest before and after the history, shape (m,) [A]
+    lead: int  # number of samples in `drive` before the history
+    errors: tuple[float, ...]  # rms error over rms of the requested history, for each trial so far
     floor: float
-    """Part of such an error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
+    """Value of such an error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
 
     def relative(self, rest: Real) -> float:
-        """Return the rms of a difference over that of the requested history."""
+        """Return the rms of a difference from the requested history, divided by the rms of that history.
+
+        Args:
+            rest: difference in the unit of the history, such as `reached − linear`, shape (n,).
+        """
         return float(np.sqrt(np.mean(rest**2) / np.mean(self.asked**2)))
 
 
 def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[Replicated]:
-    """Make a response follow a history; yield the best result after each trial.
+    """Make a response of the rig follow a time history by correcting the drive in trials.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        asked: the history, in the unit of the response, shape (n,); it begins and ends near zero.
+        asked: the history in the SI unit of the response, shape (n,); it begins and ends near zero.
         plan: settings.
+
+    Yields:
+        After each trial the best result so far, with the errors of all trials. They end when the error is small enough,
+        when corrections no longer improve it, or after the maximum number.
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.
@@ -155,7 +167,18 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
 def _identify(
     hardware: Hardware, plan: ReplicatePlan, length: int, calibration: Calibration
 ) -> tuple[Complex, Complex]:
-    """Return H and, with soft edges of the band, 1 / H on the lines of a frame of so many samples."""
+    """Measure the response function H from the drive to the response by playing pseudo-random noise.
+
+    Args:
+        hardware: output and acquisition.
+        plan: settings, with the band, the response and the level of the noise.
+        length: number of samples of a frame, which defines the frequency lines.
+        calibration: calibration of the sensors.
+
+    Returns:
+        H, and 1 / H faded out at the edges of the band and reduced where noise hides H; each at the lines of
+        `numpy.fft.rfft`, and 0 outside of the band.
+    """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
     excitation = Excitation(
@@ -187,37 +210,48 @@ def _identify(
     return h, inverse
 
 
-STEP_S = 1.0
+STEP_S = 1.0  # rig time between two results of `play` [s]
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Played:
-    """Part of a history played so far."""
+    """Part of a time history that has been played unchanged so far, and the scans measured during it."""
 
-    rate_hz: int  # samples per second, and scans
-    asked: Real  # shape (n,), A, m or V by `drive.kind`
+    rate_hz: int  # number of samples, and of scans, per second
+    asked: Real  # samples that were played, after clipping, shape (n,); A, m or V by `drive.kind`
     rows: NDArray[np.void]  # rows of `daq/scan`, shape (n,): one scan per sample
     whole: int  # total number of samples of the history
-    clipped: int  # number of clipped samples
+    clipped: int  # number of samples of the whole history that exceeded the limit and were clipped
 
     @property
     def error(self) -> float:
-        """Rms of the current minus the request, without its mean, over the requested rms; NaN if that is 0."""
+        """Standard deviation of measured current − played samples, over that of the samples; NaN if those are constant.
+
+        It is meaningful only if the history is a current.
+        """
         apart, asked = (self.rows["current"] - self.asked).std(), self.asked.std()
         return float(apart / asked) if asked > 0.0 else math.nan
 
     def kurtosis(self, name: str) -> float:
-        """Return the kurtosis of a channel: 1.5 for a sine, 3 for Gaussian noise."""
+        """Return the kurtosis of the scans of a channel so far: 1.5 for a sine, 3 for Gaussian noise.
+
+        Args:
+            name: name of the channel, such as "base".
+        """
         return float(scipy.stats.kurtosis(self.rows[name].astype(float), fisher=False))
 
 
 def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Iterator[Played]:
-    """Play samples; yield the part played so far once per second of it, and at its end.
+    """Play a time history unchanged through the drive, and measure all channels meanwhile.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        samples: A, m or V by `drive.kind`, shape (n,).
-        limit: absolute value at which samples are clipped; None means that the rig rejects samples beyond the shaker.
+        samples: the history, A, m or V by `drive.kind`, shape (n,).
+        limit: absolute value at which samples are clipped; None means that none is clipped, and that the rig rejects
+            samples beyond the range of its shaker.
+
+    Yields:
+        The part played so far, once per second of rig time and at the end.
 
     Raises:
         CommandError: the shaker trips, or rejects a sample.

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Random control: the drive is equalised line by line until a response has the requested power spectral density.
+"""Random control: adjust a random drive until a response of the rig has the requested power spectral density.
 
-Frames of the drive's line amplitudes with random phases are windowed (a half sine) and overlapped by a half, which
-gives a stationary, nearly Gaussian signal. After each loop the drive's density moves towards requested / |H|², line by
-line. |H|² is the measured density of the response over that of the drive, including distortion.
+The drive is a sum of sines at the frequency lines of a frame, with given amplitudes and random phases. Successive
+frames are windowed (a half sine) and overlapped by a half, which gives a stationary, nearly Gaussian signal. After each
+loop the drive's density at each line moves towards requested density / |H|². |H|² is the measured density of the
+response over that of the drive, including distortion.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError
 from impact_rig_studies.excitation.response import Response
 
-MOST_STEP_DB = 6.0  # largest change of a line of the drive in one loop
-# lower limit of a line relative to the strongest, so that a line without a response is not removed
+MOST_STEP_DB = 6.0  # largest change of the drive's density at a line in one loop
+# lower limit of the drive's density at a line relative to the largest, so that no line is lost for good
 LEAST_DRIVE_DB = -60.0
 
 
 @attrs.frozen(kw_only=True)
 class Spectrum:
-    """Power spectral density defined by its corners, with straight lines between them on logarithmic axes."""
+    """Requested power spectral density: corners, with straight lines between them on logarithmic axes."""
 
     frequency_hz: tuple[float, ...]  # frequencies of the corners, ascending
-    density: tuple[float, ...]  # densities there, unit² / Hz
+    density: tuple[float, ...]  # densities at the corners, in unit of the response² / Hz
 
     def at(self, frequency_hz: Real) -> Real:
-        """Return the density at some frequencies, 0 outside of the corners."""
+        """Return the density at some frequencies, in unit of the response² / Hz; it is 0 outside of the corners."""
         inside = (frequency_hz >= self.frequency_hz[0]) & (frequency_hz <= self.frequency_hz[-1])
         found = np.zeros(len(frequency_hz))
         at = np.log(frequency_hz[inside])
@@ -57,17 +58,18 @@ class RandomPlan:
     """Settings of random control.
 
     Attributes:
-        spectrum: requested density, in the response's unit² / Hz.
-        response: controlled response, of `RESPONSES`.
-        frame_s: length of a frame [s]: lines are 1 / frame_s apart.
+        spectrum: requested power spectral density of the response.
+        response: controlled response, one of `Response`.
+        frame_s: length of a frame [s]; the frequency lines are 1 / frame_s apart.
         loops: number of corrections of the drive.
-        frames: frames in each loop, half overlapped.
-        averages: frames of the measurement after the last loop, likewise.
-        gain: exponent of a correction.
+        frames: length of a loop in frames, whose spectra are averaged with an overlap of a half.
+        averages: the same for the final measurement after the last correction.
+        gain: share of a correction in dB that is applied, up to 1.
         start_rms: rms of the drive in the first loop [A].
-        crest: multiple of its rms at which the drive is clipped.
-        abort_db: excess of a line over the request that ends the test.
-        seed: seed of the phases.
+        crest: absolute value at which the drive is clipped, as a multiple of its rms.
+        abort_db: excess of the response over the requested density at any line [dB], from the third loop on, which
+            ends the test with an error.
+        seed: seed of the random phases.
     """
 
     spectrum: Spectrum = Spectrum(frequency_hz=(5.0, 15.0, 200.0), density=(0.02, 0.25, 0.25))
@@ -85,39 +87,51 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """Requested and reached spectra."""
+    """Result of random control after a loop: requested and reached spectra; densities in unit of the response² / Hz."""
 
-    frequency_hz: Real  # the lines within the band, shape (n,)
-    asked: Real  # density, shape (n,)
-    reached: Real  # likewise, from the averages after the last correction
+    frequency_hz: Real  # frequency lines within the requested band, shape (n,)
+    asked: Real  # requested density of the response at these lines, shape (n,)
+    reached: Real  # density of the response measured in this loop, likewise
     noise: Real  # density of the sensor's own noise, likewise
-    coherence: Real  # of response and drive, shape (n,): the difference to 1 is noise and distortion
-    loops: tuple[float, ...]  # rms error of the lines in each loop [dB]
-    drive_rms: float  # rms of the drive at the end [A]
-    kurtosis: float  # kurtosis of the response, 3 for a Gaussian one
-    clipped: int  # number of clipped samples of the drive
+    coherence: Real  # coherence of response and drive, shape (n,): the difference to 1 is noise and distortion
+    loops: tuple[float, ...]  # rms over the lines of the error in dB, for each loop so far
+    drive_rms: float  # rms of the drive in this loop [A]
+    kurtosis: float  # kurtosis of the response's channel in this loop, 3 for Gaussian noise
+    clipped: int  # number of clipped samples of the drive so far
 
     @property
     def error_db(self) -> Real:
-        """Error of each line, shape (n,)."""
+        """Reached over requested density at each line [dB], shape (n,)."""
         return np.asarray(10.0 * np.log10(self.reached / self.asked))
 
     @property
     def distortion(self) -> Real:
-        """Density caused by the drive but not proportional to it, shape (n,)."""
+        """Density of the part of the response that the drive causes by nonlinearity, shape (n,).
+
+        It is the part without coherence, minus the sensor's noise.
+        """
         return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
 
     def share(self, density: Real) -> float:
-        """Return the share of a density in the mean square within the band."""
+        """Return the share of the response's mean square within the band that a part of its density accounts for.
+
+        Args:
+            density: density of the part at the lines, such as `distortion`, shape (n,).
+        """
         return float(np.sum(density) / np.sum(self.reached))
 
     def within(self, bound_db: float) -> float:
-        """Return the share of lines whose error is within a bound."""
+        """Return the share of the frequency lines whose error `error_db` is within ±`bound_db`."""
         return float(np.mean(np.abs(self.error_db) <= bound_db))
 
 
 class _Drive:
-    """Endless frames of random phase, windowed and overlapped."""
+    """Generator of an endless random drive from overlapping frames with random phases.
+
+    Args:
+        length: number of samples of a frame, even.
+        random: source of the phases.
+    """
 
     def __init__(self, length: int, random: np.random.Generator) -> None:
         self._length, self._random = length, random
@@ -125,7 +139,12 @@ class _Drive:
         self._tail = np.zeros(length // 2)
 
     def samples(self, amplitude: Real, frames: int) -> Real:
-        """Return `frames` halves of frames with these amplitudes of the lines, shape (frames · length // 2,)."""
+        """Return the next samples of the drive, shape (frames · length // 2,): each further frame adds half its length.
+
+        Args:
+            amplitude: peak amplitude at each frequency line of a frame, shape (length // 2 + 1,).
+            frames: number of frames that begin.
+        """
         half = self._length // 2
         out = np.empty(frames * half)
         for k in range(frames):
@@ -137,10 +156,17 @@ class _Drive:
 
 
 def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
-    """Control a spectrum with hardware of one rate; yield the result after each loop, and finally the averages.
+    """Control the spectrum of a response by playing a random drive and correcting it after each loop.
+
+    Args:
+        hardware: output and acquisition, with equal rates.
+        plan: settings.
+
+    Yields:
+        The result after each loop. The last one is the final measurement after all corrections.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, or a line is too strong.
+        CommandError: the shaker trips or rejects the drive, or the response exceeds the request by `abort_db`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
@@ -174,7 +200,10 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         )  # fmt: skip
         if loop > 1 and error.max() > plan.abort_db:
             worst = lines[band][np.argmax(error)]
-            raise CommandError(f"the line at {worst:g} Hz is {error.max():.1f} dB above the request")
+            raise CommandError(
+                f"the response at {worst:g} Hz is {error.max():.1f} dB above the request, more than abort_db = "
+                f"{plan.abort_db:g} dB: the test has ended; request less there, or raise abort_db"
+            )
         # relative to the frames actually sent: their deviation from the mean must not be corrected
         wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]
         step = np.clip(plan.gain * 10.0 * np.log10(wanted), -MOST_STEP_DB, MOST_STEP_DB)

@@ -11,14 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Frequency response of a rig to its current: burst random, pseudo-random or chirp, frame by frame, with coherence.
+"""Measurement of a frequency response (`measure`), and the responses that excitation tests control (`Response`).
+
+The rig is driven by frames of noise or chirps (`signals.Excitation`), and the frequency response improves with each
+frame. A burst of noise fills the first part of a frame, and the response has decayed at its end. A pseudo-random frame
+or a chirp repeats. There is no leakage, so that no window is needed. For a rig with its sphere, the result is the best
+linear approximation at this level of excitation: a coherence below 1 is caused by noise and distortion (Pintelon &
+Schoukens 2012, System Identification, chapter 4).
 
 Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are corrected
 by its calibration (`motion`).
-
-A burst fills the first part of a frame and has decayed at its end; a pseudo-random frame or a chirp repeats. Nothing
-leaks, so no window is needed. For a rig with its sphere this is the best linear approximation at this level: the
-missing coherence is noise and distortion (Pintelon & Schoukens 2012, System Identification, chapter 4).
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from impact_rig_studies.excitation.signals import Excitation
 
 
 class Response(enum.StrEnum):
-    """Controllable response: the reading of a channel, or its second derivative."""
+    """Response of the rig that a test can control: displacement or acceleration of the inferior or superior base."""
 
     BASE = "base"
     SUPERIOR = "superior"
@@ -47,57 +49,98 @@ class Response(enum.StrEnum):
 
     @property
     def channel(self) -> str:
-        """Channel that measures it."""
+        """Name of the channel of `daq/scan` whose sensor measures this response.
+
+        The acceleration of the inferior base is derived from its displacement.
+        """
         return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
 
     @property
     def unit(self) -> str:
-        """SI unit."""
+        """SI unit of this response: m or m/s²."""
         return "m/s²" if self.endswith("acceleration") else "m"
 
     @property
     def channel_index(self) -> int:
-        """Index of that channel in `scans.CHANNELS`."""
+        """Index in `scans.CHANNELS` of the channel that measures this response."""
         return CHANNELS.index(self.channel)
 
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
-        """Return the motion that the channel measured up to a frequency, shape (n,)."""
+        """Return the motion that the channel of this response measured, corrected for its sensor, shape (n,).
+
+        For `BASE_ACCELERATION` it is still the displacement [m], for the others it is in `unit`.
+
+        Args:
+            rows: consecutive rows of `daq/scan`, shape (n,).
+            calibration: calibration of the sensors.
+            top_hz: upper edge of the band to which the motion is limited, see `motion`.
+        """
         return motion(rows[self.channel].astype(float), calibration, self.channel_index, top_hz)
 
     def weight(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the factor from the density of the channel to that of the response."""
+        """Return the factor by which the power spectral density of the channel's reading becomes that of the response.
+
+        Args:
+            calibration: calibration of the sensors.
+            frequency_hz: frequencies, shape (n,), > 0; the factor has the same shape.
+        """
         power = 4 if self is Response.BASE_ACCELERATION else 0
         seen = np.abs(calibration.response(self.channel_index, frequency_hz))
         return np.asarray((2.0 * np.pi * frequency_hz) ** power / seen**2)
 
     def noise(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the density of the sensor's own noise, white over the bandwidth of the scans."""
+        """Return the power spectral density of the sensor's own noise, as a response, in its unit² / Hz.
+
+        The sensor's noise is assumed to be white up to half of the scan rate.
+
+        Args:
+            calibration: calibration of the sensors.
+            frequency_hz: frequencies, shape (n,), > 0; the density has the same shape.
+        """
         white = 2.0 * _white_rms(calibration, self.channel_index) ** 2 / calibration.rate_hz
         return np.asarray(self.weight(calibration, frequency_hz) * white)
 
     def noises(self, calibration: Calibration, length: int, count: int, top_hz: float) -> Real:
-        """Return simulated sensor noise as motion at rest up to a frequency, shape (count, length)."""
+        """Return simulated records of the motion that the sensor would indicate on a rig at rest, due to its noise.
+
+        Args:
+            calibration: calibration of the sensors.
+            length: number of samples of a record.
+            count: number of records; they are the same in each call.
+            top_hz: upper edge of the band, see `motion`.
+
+        Returns:
+            The records in the unit of the motion, shape (count, length).
+        """
         drawn = np.random.default_rng(0).normal(0.0, _white_rms(calibration, self.channel_index), (count, length))
         return np.array([motion(one, calibration, self.channel_index, top_hz) for one in drawn])
 
 
 def _white_rms(calibration: Calibration, channel: int) -> float:
-    """Return the rms of white noise with the density of a channel near 0 Hz."""
+    """Return the rms of a white noise up to half of the scan rate whose density is that of a channel near 0 Hz.
+
+    Args:
+        calibration: calibration of the sensors.
+        channel: index of the channel in `scans.CHANNELS`.
+    """
     return float(calibration.noise[channel] * np.sqrt(calibration.noise_crowding()[channel]))
 
 
-FADE = 0.8  # fraction of a band at which its edge begins to fall
+FADE = 0.8  # frequency, as a fraction of the upper band edge, from which a band fades out
 
 
 def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, around: int = 0) -> Real:
-    """Return the motion that a sensor measured: corrected for lag, skew, high-pass and derivative, within a band.
+    """Return the motion that a sensor measured: its reading, corrected for lag, skew, high-pass and derivative.
+
+    The result is limited to frequencies up to an edge, because the correction amplifies noise. It is the displacement
+    [m] for the sensors of the bases, also if they measure velocity, and the acceleration [m/s²] for the accelerometer.
 
     Args:
-        values: contiguous readings, shape (n,).
-        calibration: calibration of the instruments.
-        channel: index into `scans.CHANNELS`.
-        top_hz: upper edge of the band; half of the rate keeps it open.
-        around: number of samples mirrored at both ends if the record does not begin and end at rest.
+        values: contiguous readings of a channel, shape (n,).
+        calibration: calibration of the sensors.
+        channel: index of the channel in `scans.CHANNELS`.
+        top_hz: upper edge of the band; from half of the scan rate on, nothing is removed.
+        around: number of samples mirrored at both ends; needed if the record does not begin and end at rest.
     """
     mirrored = np.pad(values, around, mode="reflect", reflect_type="odd") if around else values
     frequency: Real = np.asarray(np.fft.rfftfreq(len(mirrored), 1.0 / calibration.rate_hz), np.float64)
@@ -113,18 +156,21 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, 
 
 
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
-    """Drive the rig and yield channel / reference after each frame from the third on.
+    """Measure the frequency response of one channel relative to another while driving the rig with an excitation.
 
     Lag, skew and high-pass of the sensors are corrected by their calibration.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        excitation: the drive.
-        channel: channel of the response.
-        reference: channel of the excitation.
+        excitation: signal that drives the rig.
+        channel: name of the channel of the response.
+        reference: name of the channel by which it is divided.
+
+    Yields:
+        The frequency response from all frames so far, after each frame from the third on.
 
     Raises:
-        ConfigError: the band does not fit the rate.
+        ConfigError: the band of the excitation is not below half of the sample rate.
         CommandError: the shaker trips, or rejects the drive.
         TimeoutError: the rig did not advance.
     """

@@ -11,15 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Half-sine shocks with compensation that a shaker can reproduce, and shock response spectra.
+"""Half-sine shocks of the inferior base, compensated so that a shaker can perform them, and shock response spectra.
 
-A half sine of acceleration changes the velocity permanently, which no table can. Two low pulses of the opposite sign,
-before and after, each a quarter of a cosine wide at its ends, bring velocity and displacement back to zero.
+A half sine of acceleration alone would leave the base with a permanent velocity. Two long, low pulses of the opposite
+sign, one before and one after it, each the square of a half sine, bring velocity and displacement back to zero.
 
-    shock response spectrum: the largest |response| of x'' + 2ζω x' + ω² x = −a over time, for each natural frequency
-
-It is computed by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51, 279–287), which is exact
-for an acceleration of straight lines between its samples.
+The shock response spectrum is, for each natural frequency, the largest absolute acceleration of a single degree of
+freedom whose base has the acceleration a. Its relative displacement x obeys x'' + 2ζω x' + ω² x = −a, and its absolute
+acceleration is x'' + a. It is computed by the ramp-invariant filter (Smallwood 1981, Shock and Vibration Bulletin 51,
+279–287), which is exact for an acceleration that is linear between its samples.
 """
 
 from __future__ import annotations
@@ -38,15 +38,22 @@ from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePl
 
 @attrs.frozen(kw_only=True)
 class Pulse:
-    """Half sine with its compensation."""
+    """Requested shock of the inferior base: a half sine of acceleration, between two compensating pulses."""
 
-    peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))  # of the acceleration [m/s²]
-    duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))  # of the half sine
+    # largest acceleration of the half sine [m/s²]
+    peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))
+    duration_s: float = attrs.field(default=11e-3, validator=attrs.validators.gt(0.0))  # duration of the half sine
     compensation_s: float = attrs.field(default=0.15, validator=attrs.validators.gt(0.0))
-    """Duration of each of the two compensating pulses."""
+    """Duration of each of the two compensating pulses, one before and one after the half sine."""
 
     def acceleration(self, rate_hz: int) -> Real:
-        """Return the acceleration [m/s²], shape (n,); its sum and the sum of its running sum are zero."""
+        """Return the acceleration of the whole shock with its compensation [m/s²], shape (n,).
+
+        Its sum and the sum of its running sum are zero, so that velocity and displacement end at zero.
+
+        Args:
+            rate_hz: number of samples per second.
+        """
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
         pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
         hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2
@@ -58,20 +65,28 @@ class Pulse:
         return np.asarray(whole + low[0] * before + low[1] * after)
 
     def displacement(self, rate_hz: int) -> Real:
-        """Return the displacement of the base with this acceleration [m], shape (n,); it begins and ends at zero."""
+        """Return the displacement of the inferior base during the shock [m], shape (n,); it begins and ends at zero.
+
+        Args:
+            rate_hz: number of samples per second.
+        """
         acceleration = self.acceleration(rate_hz)
         velocity = np.cumsum(acceleration) / rate_hz
         return np.asarray((np.cumsum(velocity) - 0.5 * velocity) / rate_hz)
 
 
 def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Real, quality: float = 10.0) -> Real:
-    """Return the largest absolute acceleration of single degrees of freedom, during and after, shape as frequencies.
+    """Return the shock response spectrum of an acceleration: the largest response of single degrees of freedom.
 
     Args:
-        acceleration: of the base [m/s²], shape (n,).
-        rate_hz: samples per second.
-        frequency_hz: natural frequencies.
-        quality: 1 / (2 ζ); infinite without damping.
+        acceleration: acceleration of their base [m/s²], shape (n,).
+        rate_hz: number of samples per second.
+        frequency_hz: their natural frequencies, shape (k,).
+        quality: their quality factor 1 / (2 ζ); infinite without damping.
+
+    Returns:
+        The largest magnitude of the absolute acceleration at each natural frequency, during the shock and for one
+        period after it [m/s²], shape (k,).
     """
     zeta = 0.5 / quality
     found = np.empty(len(frequency_hz))
@@ -89,10 +104,18 @@ def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Re
 
 
 def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Real:
-    """Return the undamped shock response spectrum of an ideal half sine, in closed form.
+    """Return the undamped shock response spectrum of an ideal half sine of acceleration, in closed form.
 
-    With r = 2 f τ the residual is 2 r |cos(π r / 2)| / |1 − r²|; where r > 1, an extreme within the pulse may be larger
-    (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
+    With r = 2 f τ, the largest response after the pulse is 2 r |cos(π r / 2)| / |1 − r²| times the peak. Where r > 1,
+    an extreme within the pulse may be larger (Harris & Piersol 2002, Shock and Vibration Handbook, chapter 8).
+
+    Args:
+        peak: largest acceleration of the pulse [m/s²].
+        duration_s: duration τ of the pulse.
+        frequency_hz: natural frequencies f, shape (k,).
+
+    Returns:
+        The largest absolute acceleration at each natural frequency [m/s²], shape (k,).
     """
     r = 2.0 * frequency_hz * duration_s
     found = np.empty(len(r))
@@ -112,33 +135,43 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 
 @attrs.frozen(eq=False, kw_only=True)
 class Shocked:
-    """Shock of the inferior base, as measured by its displacement sensor, and the request.
+    """Result of a shock test after a trial: requested shock, and the best shock of the inferior base so far.
 
-    A figure within its floor is not an error: the floor is the largest of twenty draws of the sensor's noise, plus
-    twice the standard uncertainty of its gain.
+    The base's motion is measured by its displacement sensor. An error within its floor may be caused by this sensor:
+    the floor is the largest value among `DRAWS` simulated records of its noise, plus the effect of twice the standard
+    uncertainty of its gain.
     """
 
-    followed: Replicated  # the displacement
-    asked: Real  # acceleration [m/s²], shape (n,)
-    reached: Real  # likewise, below `CORNER` / duration of the pulse
+    followed: Replicated  # replication of the displacement, with the drive
+    asked: Real  # requested acceleration [m/s²], shape (n,)
+    reached: Real  # reached acceleration up to the frequency `CORNER` / duration of the pulse [m/s²], shape (n,)
     frequency_hz: Real  # natural frequencies of the spectra, shape (k,)
-    srs_asked: Real  # shock response spectra [m/s²], Q = 10, shape (k,)
-    srs_reached: Real  # likewise
-    srs_ideal: Real  # of the half sine alone, in closed form without damping
-    peak_error: float  # relative, of the acceleration
-    velocity_error: float  # relative, of the velocity that the pulse changes
-    left_m: float  # displacement at the end
-    srs_worst_db: float  # largest difference of the spectra
-    floors: Mapping[str, float]  # floors of the four figures, by name
+    srs_asked: Real  # shock response spectrum of the request below that frequency [m/s²], Q = 10, shape (k,)
+    srs_reached: Real  # shock response spectrum of `reached`, likewise
+    srs_ideal: Real  # shock response spectrum of the half sine alone, in closed form without damping, likewise
+    peak_error: float  # relative error of the largest acceleration
+    velocity_error: float  # relative error of the change of velocity during the half sine
+    left_m: float  # displacement at the end of the shock
+    srs_worst_db: float  # largest absolute difference of `srs_reached` from `srs_asked` [dB]
+    floors: Mapping[str, float]  # floor of each of these four errors, by name of the attribute
 
 
-DRAWS = 20  # number of draws of the sensor's noise
+DRAWS = 20  # number of simulated records of the sensor's noise
 CORNER = 3.0
-"""Frequency up to which a displacement is differentiated, times the pulse's duration: noise grows as its square."""
+"""Frequency up to which a displacement is differentiated twice, times the duration of the half sine.
+
+Noise of the acceleration increases with the square of the frequency.
+"""
 
 
 def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
-    """Return velocity and acceleration of a record from rest to rest, without phase, up to about `corner_hz`."""
+    """Return velocity [m/s] and acceleration [m/s²] of a displacement that begins and ends at rest, shape (n,) each.
+
+    Args:
+        displacement: the displacement [m], shape (n,).
+        rate_hz: number of samples per second.
+        corner_hz: frequency from which the result is attenuated (to a half there), without a phase shift.
+    """
     padded = np.concatenate([displacement, np.zeros(len(displacement))])
     frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)
     i_omega = 2j * np.pi * frequency
@@ -148,11 +181,14 @@ def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[
 
 
 def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
-    """Let the inferior base perform a shock; yield the result after each trial.
+    """Make the inferior base perform a shock by replicating its displacement in trials, see `history.replicate`.
 
     Args:
         hardware: output and acquisition, with equal rates.
-        pulse: requested pulse; its displacement is replicated from 0 Hz up to `CORNER` / duration.
+        pulse: requested shock; its displacement is replicated from 0 Hz up to `CORNER` / duration of the half sine.
+
+    Yields:
+        The best result so far after each trial.
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Excitation of a frequency response: bursts of noise, pseudo-random noise, chirps."""
+"""Excitation signals for the measurement of a frequency response: bursts of noise, pseudo-random noise, chirps."""
 
 from __future__ import annotations
 
@@ -26,26 +26,38 @@ if TYPE_CHECKING:
     from impact_rig.analysis.calibration import Real
 
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
-MOST_SAMPLES = 50_000_000  # limit for an excitation in memory
+MOST_SAMPLES = 50_000_000  # maximum number of samples of an excitation, which are in memory at once
 
 
 @attrs.frozen(kw_only=True)
 class Excitation:
-    """Excitation for a frequency response."""
+    """Excitation signal for the measurement of a frequency response: frames of noise or chirps within a band.
 
-    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # one of `KINDS`
+    It is different bursts of noise, each followed by silence, or the repetition of one frame of pseudo-random noise or
+    of one chirp from the lower to the upper edge of the band.
+    """
+
+    kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # kind of signal, one of `KINDS`
     frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
-    """Number of measured frames; a repeated one is preceded by one more."""
+    """Number of measured frames; a frame that repeats is played once more before them, for the transient."""
     frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
     burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
-    """Fraction of a frame that a burst fills."""
+    """Fraction of a frame that a burst of noise fills; the rest is silence. Other kinds ignore it."""
     low_hz: float = attrs.field(default=4.0, validator=attrs.validators.gt(0.0))  # lower edge of the band
-    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge
+    high_hz: float = attrs.field(default=60.0, validator=attrs.validators.gt(0.0))  # upper edge of the band
     rms: float = attrs.field(default=0.2, validator=attrs.validators.gt(0.0))  # rms of the drive while it is on [A]
-    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # seed of the random numbers
+    seed: int = attrs.field(default=1, validator=attrs.validators.ge(0))  # seed of the random numbers of the noise
 
     def samples(self, rate_hz: int) -> Real:
-        """Return all frames one after the other, shape (n,)."""
+        """Return the samples of all frames one after the other [A], shape (n,).
+
+        Args:
+            rate_hz: number of samples per second.
+
+        Raises:
+            ConfigError: the band is not between 0 and half of the rate, or its lower edge is not below the upper one.
+            BudgetError: there would be too many samples.
+        """
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone
         import scipy  # noqa: PLC0415  # as above
 
@@ -53,7 +65,8 @@ class Excitation:
         budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
             raise ConfigError(
-                f"the band must be within 0 to {0.5 * rate_hz:g} Hz, got {self.low_hz:g} to {self.high_hz:g}"
+                f"the band of the excitation must be ascending and within 0 to {0.5 * rate_hz:g} Hz, half of the "
+                f"sample rate, got {self.low_hz:g} to {self.high_hz:g} Hz"
             )
         if self.kind == BURST:
             on = round(self.burst * length)
