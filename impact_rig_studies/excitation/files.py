@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Inputs of excitation tests: readers of YAML plans, and of time histories in CSV, WAV, npz and other files or a run."""
+"""Inputs of excitation tests: readers of YAML plans, and of time histories in runs, CSV, WAV, npz and other files."""
 
 from __future__ import annotations
 

@@ -133,7 +133,8 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, 
     """Return the motion that a sensor measured: its reading, corrected for lag, skew, high-pass and derivative.
 
     The result is limited to frequencies up to an edge, because the correction amplifies noise. It is the displacement
-    [m] for the sensors of the bases, also if they measure velocity, and the acceleration [m/s²] for the accelerometer.
+    [m] for the channels of the bases, also if their sensors measure a derivative of it, and the acceleration [m/s²] for
+    the channel "accelerometer".
 
     Args:
         values: contiguous readings of a channel, shape (n,).

@@ -11,7 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Identification of the rig's constants from measurements, including what the measurements cannot determine."""
+"""Identification of the rig's constants (masses, stiffness, damping, restitution) from measurements of a rig.
+
+It also shows which constants, or combinations of them, the measurements do not determine.
+"""
 
 U_RESTITUTION = 0.02
-"""Standard uncertainty of the nominal e by default: several reductions determine it better."""
+"""Default standard uncertainty with which the nominal coefficient of restitution e is known before a measurement.
+
+Measurements at several gaps determine e better.
+"""

@@ -11,12 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Least-squares fit of the rig's constants: closed forms without the sphere, simulated reductions with it.
+"""Least-squares fit of the rig's constants to measurements: `identify` returns their values with uncertainties.
+
+Without the sphere the model is a closed form; with it, the mechanics are simulated. The data and their models are
+(T = X_1 / X_b, DT = |T|):
 
     ln f_n, ln ζ                  measured by the free decay
-    ln DT, phase                  = T(f; f_n, ζ)
-    ln |X_b / I|                  = K_f / |k_f − M ω² + iω c_f − m_1 ω² T|
-    ln (DT with / DT without)     = simulation of the mechanics, law as configured, e free about its nominal value
+    ln DT, phase of T             closed form T(f; f_n, ζ)
+    ln |X_b / I|                  closed form K_f / |k_f − M ω² + iω c_f − m_1 ω² T|
+    ln (DT with / DT without)     simulation with the configured contact law, e free about its nominal value
 
 Without the sphere, a common factor of all masses and forces changes no motion, so the data determine m_1 only as a
 ratio to other constants. With the sphere, whose mass is known, the reductions determine the mass of the structure.
@@ -46,19 +49,26 @@ from impact_rig_studies.identification.motions import SettledMotion, SettledRig,
 # --- The constants that are identified, as logarithms, and the rig that they make.
 
 NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
-"""Structure: natural frequency, damping ratio, mass. Shaker: force factor, suspension, mass m_a + m_b, damping."""
+"""Names of the identified constants, whose units are in `UNITS`.
+
+Structure: natural frequency, damping ratio, mass of the superior base. Shaker: force factor, suspension stiffness,
+moving mass (armature and inferior base), damping.
+"""
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
 SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
-"""Forces and masses: a common factor gives the same motion, unless a part of known mass takes part."""
-SCALE = np.array([float(name in SCALED) for name in NAMES])  # direction of the common factor
+"""Constants that are masses or forces.
+
+A common factor of all of them changes no motion, unless a sphere of known mass takes part.
+"""
+SCALE = np.array([float(name in SCALED) for name in NAMES])  # change of the log constants by that factor, per its log
 
 
 START = np.log([9.0, 0.005, 0.2, 6.0, 8000.0, 2.5, 60.0])
-"""Start of a fit: round numbers of the right order of magnitude."""
+"""Logarithms of the constants at the start of a fit: round numbers of the right order of magnitude."""
 
 
 def logarithms(config: RigConfig) -> Real:
-    """Return the logarithms of a rig's constants, in the order of `NAMES`."""
+    """Return the natural logarithms of the identified constants of a rig, in the order of `NAMES`, shape (7,)."""
     structure, shaker = config.structure, config.shaker
     return np.log([
         structure.natural_frequency_hz, structure.damping_ratio, structure.mass_kg, shaker.force_factor_n_a,
@@ -67,10 +77,16 @@ def logarithms(config: RigConfig) -> Real:
 
 
 def rig(base: RigConfig, log_constants: Real) -> RigConfig:
-    """Return `base` with these constants; the ratio of armature mass to moving mass is unchanged.
+    """Return the configuration `base` with other values of the identified constants.
+
+    The moving mass M is divided between armature and inferior base in the ratio of `base`.
+
+    Args:
+        base: configuration with all other values.
+        log_constants: logarithms of the constants in the order of `NAMES`.
 
     Raises:
-        ConfigError: the constants are not those of a valid rig.
+        ConfigError: a constant is out of its range.
     """
     values = dict(zip(NAMES, (float(value) for value in np.exp(log_constants)), strict=True))
     moving = base.shaker.armature_mass_kg + base.shaker.base_mass_kg
@@ -94,47 +110,48 @@ def rig(base: RigConfig, log_constants: Real) -> RigConfig:
 
 
 DETERMINED = 0.2  # relative standard uncertainty up to which a parameter, or a combination, counts as determined
-LEAST_SHARE = 0.05  # powers below this share of the largest are left out of the text of a combination
-SMALLEST = 1e-9  # singular values below this share of the largest are rounding errors
+LEAST_SHARE = 0.05  # power, relative to the largest, below which a parameter is left out of a combination's text
+SMALLEST = 1e-9  # singular value, relative to the largest, below which it counts as a rounding error of 0
 UNTOUCHED = 1e-3
-"""Power below which a parameter counts as absent from an undetermined combination."""
+"""Component of a unit vector below which a parameter counts as absent from an undetermined combination."""
 
 
 @attrs.frozen(eq=False)
 class Combination:
-    """Product of powers of parameters."""
+    """Combination of parameters that the data determine, or fail to determine, as one: a product of their powers."""
 
     powers: Real  # power of each parameter, shape (n,); the largest is 1
-    u_relative: float  # relative standard uncertainty of the product; infinite if the data do not determine it
-    text: str  # text for users, such as a product of named powers
+    u_relative: float  # relative standard uncertainty of the product; infinite if the data contain nothing on it
+    text: str  # the product for users, such as "K_f · m_1^-1"
 
     @property
     def determined(self) -> bool:
-        """Return whether the data determine this combination."""
+        """Return whether the relative standard uncertainty of this combination is at most `DETERMINED`."""
         return self.u_relative <= DETERMINED
 
 
 @attrs.frozen(eq=False)
 class Information:
-    """Information of the data on logarithmic parameters."""
+    """Information of a set of data on parameters: how well it determines each of them, and combinations of them."""
 
     names: tuple[str, ...]  # names of the parameters
-    combinations: tuple[Combination, ...]  # independent combinations, the best determined first
+    combinations: tuple[Combination, ...]  # uncorrelated combinations, as many as parameters, the best determined first
     # relative standard uncertainty of each parameter; infinite if it takes part in an undetermined combination
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether the data determine this parameter by itself."""
+        """Return whether the parameter `name` by itself has a relative standard uncertainty of at most `DETERMINED`."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 
 def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = None) -> Information:
-    """Compute the information of a whitened Jacobian.
+    """Compute how well data determine parameters, from the derivatives of the data's residuals.
 
     Args:
-        names: names of the parameters.
-        jacobian: d residual / d ln parameter, residuals in units of their standard uncertainty, shape (m, n).
-        nuisances: the same for nuisance parameters, shape (m, k), including rows of their prior knowledge.
+        names: names of the n parameters.
+        jacobian: derivatives d residual / d ln parameter, shape (m, n); residuals are in units of their standard
+            uncertainties.
+        nuisances: the same for nuisance parameters, shape (m, k), or None. Rows for their prior knowledge are included.
     """
     matrix = np.asarray(jacobian, float)
     if nuisances is not None and nuisances.shape[1]:
@@ -171,94 +188,107 @@ def _combination(names: Sequence[str], direction: Real, u: float) -> Combination
 
 STEP = 1e-6  # step of logarithms for the derivatives of closed forms
 U_SIMULATED = 1e-4
-"""Relative standard uncertainty of a ratio, in addition to its noise: the rest of the transient of a settled motion."""
-SIGNIFICANCE = 0.01  # probability of a fit this bad, below which the fit is reported as inconsistent
-ITERATIONS = 30
+"""Relative standard uncertainty of a simulated ratio of DT, due to the rest of the transient of a settled motion."""
+SIGNIFICANCE = 0.01  # probability of a fit this bad or worse, below which the fit is reported as inconsistent
+ITERATIONS = 30  # maximum number of steps of the fit of the closed forms
 CONVERGED = 1e-4  # step, in standard uncertainties, that ends the fit of the closed forms
-ROUNDS = 8  # maximum number of rounds in which the constants are adjusted to the reductions at a fixed e
-SMALL = 0.05  # step, in standard uncertainties, that ends these rounds
-SCATTERED = 0.5  # the same if the mean of an irregular motion has a large scatter
+ROUNDS = 8  # maximum number of steps in which the constants are fitted to the reductions at a fixed e
+SMALL = 0.05  # step, in standard uncertainties, that ends such a fit
+SCATTERED = 0.5  # the same if a motion is irregular, as its mean scatters
 RANK = 1e-6
-"""Share of the largest singular value below which a direction is not determined: the accuracy of the derivatives."""
+"""Singular value, relative to the largest, below which a direction is not determined: the accuracy of derivatives."""
 UNBOUND = 1.0
-"""Relative standard uncertainty above which the fit hardly changes a constant, as few data would move it too far."""
-LARGEST_STEP = 0.5
+"""Relative standard uncertainty above which the fit hardly changes a constant, because weak data would move it too far.
+"""
+LARGEST_STEP = 0.5  # largest change of a logarithm in one step of a fit
 LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Alternative: a set of constants that explains the data, if there are several such sets."""
+    """Explanation of the data by one of several clearly different sets of constants, all of which fit the data."""
 
-    share: float  # probability of this explanation, as a share of 1
-    log_constants: Real  # in the order of `NAMES`
-    u_relative: Real  # their relative standard uncertainties, in the same order
-    restitution: float  # nominal e
-    u_restitution: float  # standard uncertainty of the nominal e
+    share: float  # probability of this explanation, between 0 and 1
+    log_constants: Real  # logarithms of the constants in the order of `NAMES`
+    u_relative: Real  # relative standard uncertainties of the constants, in the same order
+    restitution: float  # nominal e of this explanation
+    u_restitution: float  # standard uncertainty of that e
 
 
 @attrs.frozen(eq=False)
 class Identified:
-    """Result of an identification."""
+    """Result of an identification: constants of the rig with uncertainties, and whether model and data agree."""
 
-    log_constants: Real  # in the order of `NAMES`; constants that the data do not determine stay near their start
-    information: Information  # information of the data
+    # logarithms in the order of `NAMES`; constants that the data do not determine stay near the start of the fit
+    log_constants: Real
+    information: Information  # how well the data determine the constants, and combinations of them
     chi_square: float  # sum of squared whitened residuals at the best fit, including priors of e and of the nuisances
     freedom: int  # degrees of freedom: number of residuals minus number of determined parameters
-    config: RigConfig  # rig given as known, with the identified constants
+    config: RigConfig  # configuration given as known, with the identified constants instead of its own
     restitution: float = math.nan  # fitted nominal e; NaN without reductions, as is u_restitution
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
-    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its mean, including jumps."""
-    contradicted: tuple[float, ...] = ()  # gaps of these at which a periodic motion was measured
-    alternatives: tuple[Alternative, ...] = ()
-    """All explanations of the data, if there are several, the most probable first.
+    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its ln(DT with / DT without).
 
-    The uncertainties above include the differences between them.
+    The uncertainty is that of a mean over many cycles, and includes jumps under small changes of the constants.
+    """
+    contradicted: tuple[float, ...] = ()
+    """Those of these gaps at which a periodic motion was measured though the fitted motion would not look periodic."""
+    alternatives: tuple[Alternative, ...] = ()
+    """Explanations of the data by different constants, the most probable first; empty if there is only one.
+
+    Values and uncertainties of this result are means over all of them, and include the differences between them.
     """
     converged: bool = True  # whether the last step was small; otherwise the uncertainties do not belong to a minimum
 
     @property
     def chance(self) -> float:
-        """Probability of a fit this bad or worse, if model and uncertainties are right; 1 if freedom is 0."""
+        """Probability that random errors alone make the fit as bad or worse (p-value of χ²); 1 if freedom is 0."""
         return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
     def consistent(self) -> bool:
-        """Return whether the fit has converged, and data, uncertainties and known values are consistent."""
+        """Return whether the result can be trusted: the fit has converged, and model and data agree.
+
+        They agree if `chance` is at least `SIGNIFICANCE` and no gap is in `contradicted`.
+        """
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property
     def ambiguous(self) -> bool:
-        """Return whether the data have more than one explanation."""
+        """Return whether clearly different sets of constants fit the data, see `alternatives`."""
         return len(self.alternatives) > 1
 
     def value(self, name: str) -> float:
-        """Return the value of a constant by its name, in its unit of `UNITS`."""
+        """Return the identified value of the constant `name` (one of `NAMES`), in its unit in `UNITS`."""
         return float(np.exp(self.log_constants[NAMES.index(name)]))
 
     def u(self, name: str) -> float:
-        """Return the standard uncertainty of a constant, in its unit."""
+        """Return the standard uncertainty of the constant `name` (one of `NAMES`), in its unit in `UNITS`."""
         return self.value(name) * float(self.information.u_relative[NAMES.index(name)])
 
 
 def identify(
     measured: Measured, known: RigConfig, start: Real = START, on_step: Callable[[str], None] = lambda _: None
 ) -> Identified:
-    """Return the constants of the rig that fit the measurements best.
+    """Fit the constants of the rig (`NAMES`), and with reductions also e, to measurements by least squares.
 
     Args:
         measured: the measurements.
-        known: rig with the known properties (sphere, contact, barriers); its other constants are ignored.
+        known: configuration with the known properties: sphere, contact law, nominal e, barriers. Its values of the
+            constants are ignored.
         start: logarithms of the constants at the start of the fit, in the order of `NAMES`.
-        on_step: receives a description of each step.
+        on_step: receives a description of each step for the user.
 
     Raises:
         ConfigError: nothing was measured.
-        SimulationError: no motion with the sphere can be resolved.
+        SimulationError: no motion with the sphere can be simulated.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
-        raise ConfigError("nothing to identify from: no free decay, no stepped sine, no reductions")
+        raise ConfigError(
+            "nothing to identify from: no free decay, no stepped sine without the sphere, no reductions with it; at "
+            "least one is needed"
+        )
     theta, nuisance = _begun(measured, start), np.zeros(len(NUISANCES))
     converged = False
     for _ in range(ITERATIONS if measured.decay or measured.sine else 0):
@@ -278,7 +308,10 @@ def identify(
 
 
 def _begun(measured: Measured, start: Real) -> Real:
-    """Return the start with f_n and ζ estimated from the data: far from them, nothing else can be fitted."""
+    """Return the start of a fit, in which estimates from the data replace f_n and ζ.
+
+    The estimates are those of the free decay, or the peak of the stepped sine. Far from them the fit does not converge.
+    """
     theta = start.copy()
     if measured.decay is not None:
         theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
@@ -289,7 +322,15 @@ def _begun(measured: Measured, start: Real) -> Real:
 
 
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
-    """Return the Gauss-Newton step; it has no component, or a damped one, along undetermined directions."""
+    """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
+
+    Along directions that the data hardly determine, the step is damped; where they do not at all, it is zero.
+
+    Args:
+        residual: whitened residuals, shape (m,).
+        jacobian: their derivatives by the log constants, shape (m, 7).
+        bent: their derivatives by the nuisance parameters, shape (m, 6).
+    """
     damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
     size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, by far the best known, does not hide others
@@ -304,40 +345,41 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
 # weighted by exp(−χ²/2), and includes its spread.
 
 FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
-U_FACTOR = 0.03  # relative uncertainty with which a ratio must agree there
+U_FACTOR = 0.03  # relative uncertainty of a ratio of DT that is assumed to compare these factors
 TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and largest excess of χ² over the best one
-COARSE_E = np.arange(-3.0, 3.1, 0.25)  # values of e of the first profile, in its prior standard uncertainties
+COARSE_E = np.arange(-3.0, 3.1, 0.25)  # first values of e: distances from the nominal e in prior standard uncertainties
 MINIMA = 6  # number of values of e from which a minimum is searched
 PROPOSED = 4  # number of steps towards each minimum
 NEAR_E = 0.3  # distance to an existing value of e, in standard uncertainties, below which no value is added
-KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that is small enough
+KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that needs no further value
 MOST_E = 60  # maximum number of values of e
 # largest change of e, and of the relative mass, over which slopes of one kind of motion are valid
 SAME_E, SAME_M = 0.01, 0.01
 GRID = 4001  # number of points at which the profile is interpolated
 SEPARATE, LEAST_PART = 0.1, 0.05
-"""Share of the lower peak to which the density falls between two explanations; smallest probability of one."""
-APART = 2.0  # standard uncertainties of both sides: explanations that overlap in all constants count as one
+"""Criteria of separate explanations: density between two of them, as a share of the lower peak; smallest probability.
+"""
+APART = 2.0  # distance, in the sum of both standard uncertainties, above which constants of explanations differ
 
 
 @attrs.frozen(eq=False)
 class _Held:
-    """Fit of the constants at a fixed e."""
+    """Fit of the constants at a fixed coefficient of restitution e: a point of the profile of χ² over e."""
 
-    e: float
-    theta: Real
-    nuisance: Real
-    chi_square: float
+    e: float  # the fixed nominal e
+    theta: Real  # logarithms of the constants, in the order of `NAMES`
+    nuisance: Real  # nuisance parameters, in the order of `NUISANCES`
+    chi_square: float  # sum of the squared whitened residuals
     cost: float  # −2 ln of the probability: χ², and a term for uncertainties that depend on the motion
-    jacobian: Real  # derivatives of the whitened residuals by the constants
-    bent: Real  # derivatives by the nuisances
-    by_e: Real  # derivatives by e
-    residual: Real
-    motions: Mapping[float, SettledMotion]
-    converged: bool
+    jacobian: Real  # derivatives of the whitened residuals by the log constants
+    bent: Real  # their derivatives by the nuisance parameters
+    by_e: Real  # their derivatives by e
+    residual: Real  # whitened residuals, those of the prior knowledge included
+    motions: Mapping[float, SettledMotion]  # simulated motion by gap [m]
+    converged: bool  # whether the last step of the fit was small
 
     def covariance(self) -> Real:
-        """Return the covariance of the constants at this e."""
+        """Return the covariance matrix of the log constants if e is fixed, shape (7, 7)."""
         basis, _ = np.linalg.qr(self.bent)
         matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
         size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
@@ -345,7 +387,7 @@ class _Held:
         return np.asarray(inverse @ inverse.T)
 
     def proposal(self) -> tuple[float, float]:
-        """Return the e of the minimum according to the slopes, with its standard uncertainty."""
+        """Return the e with the smallest χ² if the residuals were linear functions, and its standard uncertainty."""
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
         basis, values, _ = np.linalg.svd(others / size, full_matrices=False)
@@ -358,11 +400,19 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Return the constants from all measurements, including the reductions."""
+    """Return the result of a fit to all measurements, including the reductions with the sphere.
+
+    Args:
+        measured: all measurements, with reductions.
+        known: configuration with the known properties.
+        theta: logarithms of the constants from the data without the sphere.
+        nuisance: nuisance parameters from these data.
+        on_step: receives a description of each step for the user.
+    """
     profile = _Profile(measured, known)
-    on_step("fitting the masses with the sphere")
+    on_step("estimating the masses from the motion with the sphere")
     starts = profile.factors(theta)
-    on_step(f"fitting with e held, from {len(starts)} starts")
+    on_step(f"fitting all constants at fixed values of the coefficient of restitution e, from {len(starts)} starts")
     held = profile.run(starts, nuisance, on_step)
     best = min(held, key=lambda one: one.cost)
     mean, covariance, alternatives = _summary(held)
@@ -384,7 +434,12 @@ def _with_reductions(
 
 
 class _Profile:
-    """Profile of χ² over e: the best fits at fixed values of e."""
+    """Computation of the profile of χ² over e: the best fits of the constants at fixed values of e.
+
+    Args:
+        measured: all measurements, with reductions.
+        known: configuration with the known properties and the nominal e.
+    """
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -394,7 +449,11 @@ class _Profile:
         self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real, float]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
-        """Return the constants scaled by the common factors with which the ratios agree best."""
+        """Return starts for the fits: the constants with forces and masses multiplied by a common factor.
+
+        The data without the sphere do not determine this factor. The returned ones, at most `TRIED`, are those with
+        which the simulated motions agree best with the measured ratios of DT.
+        """
         misfits = []
         for factor in FACTORS:
             off = 0.0
@@ -411,10 +470,24 @@ class _Profile:
         return [theta + FACTORS[i] * SCALE for i in order if misfits[i] <= misfits[order[0]] + WORSE]
 
     def run(self, starts: Sequence[Real], nuisance: Real, on_step: Callable[[str], None]) -> list[_Held]:
-        """Return the profile: the best fit at each value of e, ascending."""
+        """Compute the profile: fit the constants at many values of e, more of them near the minima of χ².
+
+        Args:
+            starts: logarithms of the constants from which the fits start.
+            nuisance: nuisance parameters at the start.
+            on_step: receives a description of each step for the user.
+
+        Returns:
+            The best fit at each value of e, ascending; a single one if e is exactly known.
+
+        Raises:
+            SimulationError: the motions cannot be simulated from any start.
+        """
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
-            raise SimulationError("no motion with the sphere can be resolved")
+            raise SimulationError(
+                "no motion with the sphere can be resolved by the simulation near the constants from the other data"
+            )
         if self._u == 0.0:
             return [min(first, key=lambda one: one.cost)]
         held: dict[float, _Held] = {}
@@ -427,7 +500,7 @@ class _Profile:
                     if new is not None:
                         self._keep(held, new)
                         here = new
-        on_step("searching for the minima of χ² over e")
+        on_step("searching for the values of e that agree best with the measurements")
         for one in sorted(held.values(), key=lambda each: each.cost)[:MINIMA]:
             self._descend(held, one)
         while len(held) < MOST_E and self._divide(held):
@@ -435,7 +508,7 @@ class _Profile:
         return [held[e] for e in sorted(held)]
 
     def _descend(self, held: dict[float, _Held], here: _Held) -> None:
-        """Descend towards the minimum of χ² over e along the slopes."""
+        """Add fits to `held` (by value of e) at values of e closer and closer to the minimum of χ² near `here`."""
         for _ in range(PROPOSED):
             e, u = here.proposal()
             beyond = abs(e - self._nominal) > COARSE_E[-1] * self._u or e != self._within(e)
@@ -448,7 +521,10 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Divide the interval of e with the largest change of the density; return whether there is a relevant one."""
+        """Add a fit to `held` (by value of e) in the middle of the interval where the probability density changes most.
+
+        Returns whether a fit was added: False if all changes are small enough, or the motion there cannot be simulated.
+        """
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
         density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)
@@ -475,12 +551,22 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return a rig with a gap, driven by the measured current with a relative gain error `gain`."""
+        """Return the rig whose motion at a gap is to be simulated, with the measured current corrected for its gain.
+
+        Args:
+            gap_m: gap, one of those measured.
+            theta: logarithms of the constants.
+            gain: assumed relative error of the measured current (nuisance parameter).
+            e: nominal coefficient of restitution.
+        """
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
-        """Return the best fit at a fixed e, from a start; None if a motion cannot be resolved there."""
+        """Fit constants and nuisance parameters to all data at a fixed e, from a start.
+
+        Returns None if a motion on the way cannot be simulated, or the constants are not those of a valid rig.
+        """
         try:
             here = self._at(e, theta, nuisance)
             for _ in range(ROUNDS):
@@ -499,7 +585,10 @@ class _Profile:
         return here
 
     def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
-        """Return the whitened residuals and their derivatives at a point."""
+        """Simulate all measured gaps, and return the whitened residuals of all data and their derivatives.
+
+        The result is not fitted: it belongs to the given e, constants `theta` and nuisance parameters.
+        """
         residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
         rows, by_constants, by_nuisances, by_e = [], [], [], []
         motions, widths = {}, 0.0
@@ -527,9 +616,10 @@ class _Profile:
         )  # fmt: skip
 
     def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real, float]:
-        """Return a motion, its derivatives by the constants and e, and its roughness, see `SettledRig.slopes`.
+        """Simulate the settled motion at a gap; return it, the derivatives of its log ratio, and its roughness.
 
-        Derivatives of a nearby motion of the same kind are reused.
+        The derivatives are those by the log constants and, last, by e, see `SettledRig.slopes`. Those of a nearby
+        motion of the same kind are reused, because they take most of the time.
         """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
@@ -552,7 +642,11 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the constants and e over a profile, and all explanations if there are several."""
+    """Return mean and covariance of the log constants and, last, e over the profile of fits at fixed e.
+
+    The mean is weighted by the probability of each e. The third result is all explanations if they differ clearly,
+    otherwise it is empty.
+    """
     e = np.array([one.e for one in held])
     theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
     if len(held) == 1:
@@ -585,7 +679,7 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether two explanations differ in a constant by more than their uncertainties."""
+    """Return whether any two of the explanations differ in a constant by more than their uncertainties allow."""
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
         for one, other in itertools.combinations(found, 2)
@@ -593,7 +687,10 @@ def _differ(found: Sequence[Alternative]) -> bool:
 
 
 def _parts(density: Real) -> Iterator[slice]:
-    """Yield the stretches of a density around its peaks; the density between two stretches is far below both peaks."""
+    """Yield ranges of indices of a probability density, each with one main peak; together they cover all of it.
+
+    Between the peaks of two neighbouring ranges, the density is far below both peaks (`SEPARATE`).
+    """
     level = np.log(np.maximum(density, 1e-300))
     peaks = scipy.signal.find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
     cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
@@ -602,7 +699,18 @@ def _parts(density: Real) -> Iterator[slice]:
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-    """Return whitened residuals of the data without simulation, and their derivatives by constants and nuisances."""
+    """Return the whitened residuals of the data without the sphere and of the prior, and their derivatives.
+
+    Args:
+        measured: the measurements.
+        known: configuration with the known properties.
+        theta: logarithms of the constants.
+        nuisance: nuisance parameters.
+
+    Returns:
+        The residuals, shape (m,), and their derivatives by the log constants, shape (m, 7), and by the nuisance
+        parameters, shape (m, 6).
+    """
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
     if decay is not None:
@@ -642,20 +750,29 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 
 def _apart(one: Real, other: Real) -> Real:
-    """Return the difference of two results of `_model`; for phases, the smallest one."""
+    """Return the difference of two results of `_model`, shape (3, n); that of the phases is within ±π."""
     difference = one - other
     difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
     return difference
 
 
 def _prior(measured: Measured) -> Real:
-    """Return the standard uncertainty of each nuisance before the measurement."""
+    """Return the standard uncertainty of each nuisance parameter before the fit, in the order of `NUISANCES`.
+
+    It follows from the calibration certificate, and for "DT without sphere" from its noise.
+    """
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])
 
 
 def _model(known: RigConfig, theta: Real, frequency_hz: Real) -> Real:
-    """Return ln DT, ln |X_b / I| and the phase, shape (3, n)."""
+    """Return ln DT, ln |X_b / I| [m/A] and the phase of X_1 / X_b of the rig without its sphere, shape (3, n).
+
+    Args:
+        known: configuration with the known properties.
+        theta: logarithms of the constants.
+        frequency_hz: frequencies, shape (n,).
+    """
     config = rig(known, theta)
     ratio = transmissibility(config, frequency_hz)
     return np.stack([np.log(np.abs(ratio)), np.log(np.abs(base_per_ampere(config, frequency_hz))), np.angle(ratio)])

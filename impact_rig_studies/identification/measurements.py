@@ -11,10 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements for identification: results of the analysis, with noise separated from errors of calibration.
+"""Measurements in the form in which `fit.identify` uses them: with noise separated from errors of calibration.
 
-Errors of calibration are common to all points: one gain and one curve per sensor (`analysis.calibration`). They become
-nuisance parameters with the standard uncertainties of the certificate. The remaining deviation of each point is noise.
+Errors of calibration are common to all points: one gain and one nonlinearity (curve) per sensor
+(`analysis.calibration`). The fit treats them as nuisance parameters (unknowns of no interest) whose standard
+uncertainties before the measurement are those of the calibration certificate. The remaining deviation of each point is
+noise.
 """
 
 from __future__ import annotations
@@ -45,54 +47,65 @@ from impact_rig_studies.decay import Decay, DecayMethod, fit_decay, measure_deca
 from impact_rig_studies.identification import U_RESTITUTION
 from impact_rig_studies.reduction import repeatability
 
-LEAST_NOISE = 1e-4  # smallest relative repeatability assumed, even if a few seconds of signal suggest a smaller one
+LEAST_NOISE = 1e-4  # smallest relative standard uncertainty by noise that is assumed, even if the scatter is smaller
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
 NUISANCES = (*CALIBRATION, "DT without sphere")
-"""Errors shared by several data. "DT without sphere" is the noise of the reference point of all reductions."""
+"""Names of the nuisance parameters: relative errors that several measured values share.
+
+"DT without sphere" is the error by noise of the measurement without the sphere, to which all reductions refer.
+"""
 GAIN_CURRENT = NUISANCES.index("gain current")
 
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Stepped sine without the sphere: arrays of shape (n,); u_ means the standard uncertainty due to noise alone."""
+    """Measured points of a stepped sine without the sphere: arrays of shape (n,), with standard uncertainties by noise.
+
+    x_1 is the displacement of the superior base, x_b that of the inferior base.
+    """
 
     frequency_hz: Real  # drive frequency of each point
     dt: Real  # transmissibility |X_1 / X_b|
     phase_rad: Real  # phase of x_1 relative to x_b [rad]
-    base_per_a: Real  # ratio of the amplitudes of base and current [m/A]
-    laser_m: Real  # amplitude of the superior base, peak [m]
-    base_m: Real  # amplitude of the base, peak [m]
+    base_per_a: Real  # amplitude of x_b over amplitude of the current [m/A]
+    laser_m: Real  # amplitude of x_1, peak [m]
+    base_m: Real  # amplitude of x_b, peak [m]
     u_amplitude: Real  # relative standard uncertainty of dt and base_per_a
     u_phase: Real  # standard uncertainty of phase_rad [rad]
 
 
 @attrs.frozen(eq=False)
 class Reduced:
-    """Ratio of DT with the sphere to DT without it, at one frequency."""
+    """Measured ratios of the transmissibility DT with the sphere to that without it, at one frequency and n gaps."""
 
     frequency_hz: float  # drive frequency
     current_a: Mapping[float, float]  # measured amplitude of the current with the sphere [A peak], by gap [m]
     ratio: Mapping[float, float]  # DT with the sphere / DT without, by gap [m]
     u: Real  # relative standard uncertainty due to the noise of DT with the sphere, shape (n,)
     u_without: float  # relative standard uncertainty due to the noise of DT without the sphere
-    effects: Real  # d ln ratio / d nuisance, shape (n, 6); the simulation includes the effect of the current
-    regimes: Mapping[float, str]
-    """Measured regime of the motion with the sphere, by gap.
+    effects: Real
+    """Derivatives of ln ratio by the nuisance parameters (`NUISANCES`), shape (n, 6).
 
-    Unknown without a count of impacts, because a light sphere strikes irregularly while the amplitude is constant.
+    The effect of the gain of the current is left out, because it acts through the simulated motion.
+    """
+    regimes: Mapping[float, str]
+    """Measured regime of the motion with the sphere, by gap [m].
+
+    It is `unknown` if impacts were not counted: a light sphere can strike irregularly at a constant amplitude of the
+    base.
     """
 
 
 @attrs.frozen(eq=False)
 class Gains:
-    """Calibration errors of the sensors: their standard uncertainties, and their effects on measured quantities."""
+    """Calibration errors of the sensors: their standard uncertainties, and their effects on measured amplitudes."""
 
-    u: Real  # relative standard uncertainty of each error of `CALIBRATION`, shape (5,)
-    calibration: Calibration  # calibration of the certificate
+    u: Real  # relative standard uncertainty of each error in `CALIBRATION`, shape (5,)
+    calibration: Calibration  # calibration of the sensors according to their certificate
 
     @classmethod
     def of(cls, info: NDArray[np.void]) -> Gains:
-        """Read the certificate from rows of `daq/info`."""
+        """Read the calibration certificate of the sensors from rows of `daq/info`."""
         calibration = Calibration.from_info(info)
         halves = [(channel, _half_range(calibration, channel)) for channel in (LASER, BASE)]
         bent = [float(calibration.linearity[one]) / half if math.isfinite(half) else 0.0 for one, half in halves]
@@ -104,7 +117,16 @@ class Gains:
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real, frequency_hz: Real | float) -> Real:
-        """Return d ln(amplitude) / d nuisance for displacements of a channel that are sines, shape (n, 6)."""
+        """Return how much each nuisance parameter changes a measured amplitude: d ln(amplitude) / d parameter.
+
+        Args:
+            channel: index of the channel, `LASER`, `BASE` or `CURRENT`.
+            amplitude: amplitudes of a sinusoidal displacement [m], shape (n,); for the current only the shape is used.
+            frequency_hz: frequency, or one for each amplitude.
+
+        Returns:
+            Derivatives by the parameters in the order of `NUISANCES`, shape (n, 6).
+        """
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
         if channel != CURRENT:
@@ -120,7 +142,12 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return settled points without the sphere as a stepped sine."""
+    """Return the points of a frequency curve without the sphere in the form that the fit uses.
+
+    Args:
+        points: measured points, each with at least one settled measurement, of which the first is used.
+        gains: calibration errors, whose contribution is removed from the uncertainties.
+    """
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])
     return SineData(
@@ -136,9 +163,19 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios at one frequency, or None if there are none; only motions with impacts are used.
+    """Return the ratios of DT with the sphere to DT without it at one frequency, in the form that the fit uses.
 
-    Without an accelerometer, impacts were not counted. The simulated motion then decides whether the sphere strikes.
+    Points at which the sphere did not strike are left out, as they contain no information on it. If impacts were not
+    counted, for lack of an accelerometer, the point is used.
+
+    Args:
+        curves: measured curves.
+        frequency_hz: frequency of the drive.
+        gaps_m: gaps to use, as far as they are measured [m].
+        gains: calibration errors of the sensors.
+
+    Returns:
+        None if the point without the sphere, or all points with it, are missing.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -162,7 +199,7 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
 
 
 def _current(point: Point) -> float:
-    """Return the measured amplitude of the current, or that of the command if it was not measured."""
+    """Return the measured amplitude of a point's current [A peak], or the commanded one if it was not measured."""
     read = float(np.mean(point.rows["current_amplitude"]))
     return read if math.isfinite(read) and read > 0.0 else point.current_a
 
@@ -172,33 +209,35 @@ def _counted(point: Point) -> bool:
 
 
 def _noise(point: Point, gains: Gains) -> float:
-    """Return the relative standard uncertainty of DT without the contribution of the calibration."""
+    """Return the relative standard uncertainty of the DT of a point due to noise alone, at least `LEAST_NOISE`."""
     return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Measured:
-    """All measurements for an identification; None for those that were not made.
+    """All measurements of one rig from which its constants are identified; None for those that were not made."""
 
-    `u_restitution` is the prior standard uncertainty of the nominal e.
-    """
-
-    gains: Gains
-    decay: Decay | None = None
-    sine: SineData | None = None
-    reduced: Reduced | None = None
-    u_restitution: float = U_RESTITUTION
+    gains: Gains  # calibration errors of the sensors
+    decay: Decay | None = None  # free decay without the sphere
+    sine: SineData | None = None  # stepped sine without the sphere
+    reduced: Reduced | None = None  # ratios of DT with the sphere to DT without it
+    u_restitution: float = U_RESTITUTION  # standard uncertainty of the nominal e of the known rig; 0: exactly known
 
 
 # --- The free decay with the base locked: measured on a rig in this process, or taken from a recorded run
 
-DISPLACEMENT_M = 5e-3
+DISPLACEMENT_M = 5e-3  # displacement from which the pluck releases the superior base
 RECORD_S = 20.0  # length of a record of the decay: five time constants of the structure
-SETTLE_S = 0.05  # time left out at the beginning, in which the laser's lag decays
+SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response to the release decays
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Pluck the rig without its sphere, and measure f_n and ζ by a fit, or by `method`."""
+    """Measure natural frequency and damping ratio of a simulated rig: pluck it without its sphere, and fit the decay.
+
+    Args:
+        config: configuration of the rig, whose sphere is removed.
+        method: method that evaluates the decay.
+    """
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
     rig.core.pluck(DISPLACEMENT_M)
@@ -207,10 +246,14 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 
 
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
-    """Measure the decay after the last pluck of a recorded run by a fit, or by `method`.
+    """Measure natural frequency and damping ratio from the free decay after the last pluck in a recorded run.
 
-    The record ends at a reset or at missing scans, because the scans of a decay are consecutive. A measurement of an
-    external rig has no journal: its decay begins at the largest distance of the structure from its final position.
+    The record of the decay ends at a reset or at missing scans. A measurement of an external rig has no journal of
+    plucks: its decay begins at the largest distance of the superior base from its final position.
+
+    Args:
+        run: the run.
+        method: method that evaluates the decay.
 
     Raises:
         RecordingError: the run contains no pluck, or no scans after it.
@@ -229,7 +272,10 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
         elif entry.kind is InputKind.RESET:
             end_ns = min(end_ns, entry.stamp_ns)
     if begin_ns is None:
-        raise RecordingError(f"{run.path}: no pluck in this run (rig/pluck)")
+        raise RecordingError(
+            f"{run.path}: no pluck in this run (rig/pluck), so that it contains no free decay; record one that begins "
+            "before the pluck"
+        )
     info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
     first = begin_ns + round(SETTLE_S * NS_PER_S)
     decay = Recent(float(info.rows["rate"][0]), sys.maxsize)
@@ -239,5 +285,5 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
                 break
             decay.add(table)
     if not decay.count:
-        raise RecordingError(f"{run.path}: no scans after the pluck")
+        raise RecordingError(f"{run.path}: no scans after the last pluck, so that the run contains no free decay")
     return measure_decay(decay.rows(), info.rows, method)

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Simulated reductions for identification: the settled motion of the rig with its sphere, and its derivatives.
+"""Settled motion of a simulated rig with its sphere, and derivatives of its DT by the rig's constants, for the fit.
 
-If the motion repeats, its slopes follow from the stroboscopic map (`Stroboscope.slopes`). Then single returns to the
-map suffice, and the multipliers show whether the orbit is stable. If the motion does not repeat, its mean over many
-cycles is compared with a measurement. The mean has a standard uncertainty, from the scatter of batches, and its slopes
-are coarse differences.
+If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`). Then single returns of
+the map suffice, and their multipliers show whether the orbit is stable. If the motion does not repeat, its mean over
+many cycles is compared with a measurement. The mean has a standard uncertainty, from the scatter of batches of cycles,
+and its derivatives are quotients of coarse differences.
 """
 
 from __future__ import annotations
@@ -36,51 +36,67 @@ from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
 from impact_rig_studies.maps.measure import FAILED, MapRig, Settings
 from impact_rig_studies.maps.plan import CURRENT
 
-SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)
+SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)  # stricter than for maps: for derivatives
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
-BATCHES, BATCH_CYCLES = 10, 48  # number and length of the batches over which an irregular motion is averaged
-COARSE = 0.01  # relative step of the differences for such a motion
+BATCHES, BATCH_CYCLES = 10, 48  # number of batches over which an irregular motion is averaged, and cycles in each
+COARSE = 0.01  # relative step of the difference quotients for such a motion
 
 
 class SettledMotion(NamedTuple):
-    """Settled motion of the rig with its sphere, as a measurement of DT would describe it."""
+    """Settled motion of a simulated rig with its sphere: its effect on DT, and how it repeats."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
-    u: float  # standard uncertainty of the mean of log_ratio for an irregular motion; 0 for a repeating one
-    regime: str  # periodic, modulated, chaotic or intermittent
-    seen: str  # regime that a measurement reports: a chaotic motion whose changes are small looks periodic
-    period: float  # number of drive cycles after which it repeats; NaN if it does not
-    impacts: float  # number of impacts in a period
+    u: float  # standard uncertainty of log_ratio as the mean of an irregular motion; 0 for a motion that repeats
+    regime: str  # regime of the simulated motion: periodic, modulated, chaotic or intermittent
+    seen: str  # regime that a measurement would report: a chaotic motion whose changes are small looks periodic
+    period: float  # number of drive cycles after which the motion repeats; NaN if it does not
+    impacts: float  # number of impacts in a period; NaN if the motion does not repeat
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion is a periodic orbit."""
+        """Return whether the motion repeats exactly, so that it has no uncertainty and its derivatives are smooth."""
         return self.regime == Regime.PERIODIC.value and not self.u
 
 
 def place_of(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Place:
-    """Return a rig with its sphere and a gap, driven by a sine of current [A peak]."""
+    """Return a point of parameter space: a rig with its sphere, a gap, and a sine of current as its drive.
+
+    Args:
+        config: configuration with all other values.
+        gap_m: gap between the walls.
+        frequency_hz: frequency of the drive.
+        current_a: amplitude of the current [A peak].
+    """
     own = {"sphere.present": True, "barriers.gap_m": gap_m, "drive.kind": CURRENT_DRIVE}
     return Place(from_flat(config, own), frequency_hz, current_a)
 
 
-CURRENT_DRIVE = "current"
+CURRENT_DRIVE = "current"  # value of `drive.kind`
 
 
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
-    """Return the settled motion of a rig after a reset; the DT without the sphere, for its ratio, is the closed form.
+    """Simulate a rig with its sphere from rest until its motion has settled, and return this motion.
+
+    DT without the sphere, to which it refers, is computed in closed form. For the arguments see `place_of`.
 
     Raises:
-        SimulationError: the motion cannot be resolved.
+        SimulationError: the motion cannot be simulated.
     """
     return SettledRig(place_of(config, gap_m, frequency_hz, current_a)).motion
 
 
 class SettledRig:
-    """Settled rig, with its motion.
+    """Simulated rig with its sphere whose motion has settled, and from which derivatives can be computed.
+
+    Args:
+        place: the rig and its drive.
+
+    Attributes:
+        place: the rig and its drive.
+        motion: the settled motion.
 
     Raises:
-        SimulationError: the motion cannot be resolved.
+        SimulationError: the motion cannot be simulated.
     """
 
     def __init__(self, place: Place) -> None:
@@ -89,7 +105,10 @@ class SettledRig:
         self._reading = found = rig.measure(place.frequency_hz, place.amplitude)
         if found.regime == FAILED or not found.dt > 0.0:
             gap_mm = place.config.barriers.gap_m * 1e3
-            raise SimulationError(f"gap {gap_mm:g} mm, {place.frequency_hz:g} Hz: the motion cannot be resolved")
+            raise SimulationError(
+                f"gap {gap_mm:g} mm, {place.frequency_hz:g} Hz, {place.amplitude:g} A peak: the motion cannot be "
+                "resolved by the simulation"
+            )
         u, dt, seen = 0.0, found.dt, found.regime
         if not (math.isfinite(found.period) and found.drift <= REPEATS):
             means = []
@@ -106,20 +125,22 @@ class SettledRig:
     def slopes(
         self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int
     ) -> tuple[Real, float]:
-        """Return the derivatives of `motion.log_ratio` by parameters, shape (count,), and its roughness.
+        """Return the derivatives of `motion.log_ratio` by logarithmic parameters, and the roughness of this function.
 
-        The mean of an irregular motion changes by jumps with any parameter, from window to window of its regimes. The
-        roughness is the standard deviation about the slope of such changes; it is 0 for a stable orbit. This advances
-        the rig.
+        The mean of an irregular motion changes by jumps with any parameter. The roughness is the standard deviation of
+        log_ratio about its linear dependence due to such jumps; it is 0 for a stable orbit. This advances the rig.
 
         Args:
-            neighbour: returns the rig with the i-th parameter changed by a small step.
+            neighbour: `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
             count: number of parameters.
             amplitude: index of the parameter that multiplies the current.
-            mass: index of the parameter that multiplies the mass of the structure.
+            mass: index of the parameter that multiplies the mass of the superior base.
+
+        Returns:
+            The derivatives, shape (count,), and the roughness.
 
         Raises:
-            SimulationError: the motion of a neighbour cannot be resolved.
+            SimulationError: the motion of a neighbour cannot be simulated.
         """
         if self.motion.repeats:
             strobe = Stroboscope(self.place, CURRENT, self.place.amplitude)
@@ -146,7 +167,10 @@ _STEP = 1e-6
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of a closed form, by parameters."""
+    """Return the derivatives of a closed form `of` by `count` parameters at `place`, shape (count,).
+
+    `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
+    """
     here = of(place)
     return np.array([(of(neighbour(i, _STEP)) - here) / _STEP for i in range(count)])
 

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Derivation of the default rig from the paper: f_n and ζ, fitted to five reductions and 9.1 Hz.
+"""Derivation of the default rig from the paper: natural frequency f_n and damping ratio ζ of its structure.
 
-The sphere, the contact law and e are those of the paper. Mass and shaker have catalogue values. The current represents
-the motion of the paper's superior base. `PaperFit.information` shows how well the paper determines each constant. If
-the current is fitted as well, it shows that the paper determines too little.
+They are fitted to the five published reductions of DT, and to the resonance at 9.1 Hz. The sphere, the contact law and
+e are those of the paper. Mass and shaker have catalogue values. The current is chosen such that the superior base moves
+as in the paper. `PaperFit.information` shows how well the paper determines each constant. If the current is fitted as
+well, it shows that the paper determines too little.
 """
 
 from __future__ import annotations
@@ -35,44 +36,50 @@ U_POINTS = 1.0
 """Assumed standard uncertainty of a published reduction [percentage points]: three of the five are printed as whole
 percent, no uncertainty is stated, and the gaps were set by hand.
 """
-U_FREQUENCY_HZ = 0.05 / 3**0.5  # 9.1 Hz is printed to one digit
-ALL = (*NAMES, "I")
-START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # start of the fit: away from the shipped values
-# steps for derivatives by `NAMES` and I: the natural frequency has the largest effect
+U_FREQUENCY_HZ = 0.05 / 3**0.5  # standard uncertainty of the published 9.1 Hz, which is printed to one decimal
+ALL = (*NAMES, "I")  # names of all constants: those that are identified, and the current
+START = {"f_n": 9.1, "ζ": 0.005, "I": 0.5}  # start of the fit [Hz, -, A]: away from the shipped values
+# relative steps for derivatives by `NAMES` and I: the natural frequency has the largest effect
 STEPS = np.array([2e-4, *[0.02] * 6, 0.02])
-LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # largest steps of the fit, which is far from linear
+LARGEST = {"f_n": 5e-4, "ζ": 0.1, "I": 0.1}  # largest relative steps of the fit, which is far from linear
 ITERATIONS = 12
 CONVERGED = 0.1  # step, in standard uncertainties, that ends the fit
 
 
 @attrs.frozen(eq=False)
 class PaperFit:
-    """Result of the fit to the paper."""
+    """Result of the fit of the simulated rig to the figures that the paper publishes."""
 
-    fitted: Mapping[str, float]  # fitted values by name: f_n [Hz], ζ, optionally I [A]
-    u: Mapping[str, float]  # standard uncertainty of each fitted value, with all other values fixed
-    converged: bool  # whether the fit converged
-    points: dict[float, float]  # reductions of the fitted rig [%], by gap [m]
+    fitted: Mapping[str, float]  # fitted values by name: f_n [Hz], ζ, optionally I [A peak]
+    u: Mapping[str, float]  # standard uncertainty of each fitted value if the values that are not fitted are exact
+    converged: bool  # whether the last step of the fit was small
+    points: dict[float, float]  # reductions of DT of the fitted rig [%], by gap [m]
     rms_points: float  # rms difference of these from the reductions in the paper [percentage points]
     default_rms_points: float  # the same for the shipped configuration
-    information: Information  # information of the paper on all constants and the current
+    information: Information  # how well the paper determines all constants (`ALL`), near the shipped configuration
 
 
 def fit_paper(
     base: RigConfig, free: Sequence[str] = ("f_n", "ζ"), on_step: Callable[[str], None] = lambda _: None
 ) -> PaperFit:
-    """Fit the paper's numbers, starting away from the shipped values, and compute what they determine.
+    """Fit constants of the simulated rig to the paper's reductions and resonance, starting at `START`.
+
+    It also computes how well these figures determine each constant.
 
     Args:
-        base: rig with all other values, which count as known.
-        free: names of the values to fit, of the keys of `START`.
-        on_step: receives a description of each step.
+        base: rig with all other values, which count as known; normally the shipped configuration.
+        free: names of the values to fit, which are keys of `START`.
+        on_step: receives a description of each step for the user.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
     default = np.append(logarithms(base), np.log(CURRENT_A))
 
     def residual(at: Real) -> Real:
-        """Return differences from the paper in standard uncertainties; the last row is that of the frequency."""
+        """Return the differences of the simulated rig from the paper, in standard uncertainties of the paper's figures.
+
+        They are those of the five reductions and, last, that of the natural frequency. `at` are the logarithms of the
+        values in `ALL`.
+        """
         reductions = _reductions(base, at)
         return np.append((reductions - published) / U_POINTS, (np.exp(at[0]) - FREQUENCY_HZ) / U_FREQUENCY_HZ)
 
@@ -82,7 +89,7 @@ def fit_paper(
     largest = np.array([LARGEST[name] for name in free])
     converged = False
     for iteration in range(ITERATIONS):
-        on_step(f"fitting {', '.join(free)} to the paper, {iteration + 1}")
+        on_step(f"fitting {', '.join(free)} to the paper, step {iteration + 1} of at most {ITERATIONS}")
         fitted_residual = residual(at)
         jacobian = _slopes(residual, at, fitted_residual, places)
         information_matrix = jacobian.T @ jacobian
@@ -92,7 +99,7 @@ def fit_paper(
             break  # the slopes belong to these values
         at[places] += change * min(1.0, float((largest / np.abs(change)).min()))
     covariance = np.linalg.inv(information_matrix)
-    on_step("computing what the paper determines of every constant")
+    on_step("computing how well the paper determines each constant of the rig")
     here = residual(default)
     slopes = _slopes(residual, default, here, range(len(default)))
     rms = [float(np.sqrt(np.mean((U_POINTS * r[:-1]) ** 2))) for r in (fitted_residual, here)]
@@ -109,13 +116,25 @@ def fit_paper(
 
 
 def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequence[int]) -> Real:
-    """Return the derivatives of the residuals by the parameters at these indices, one column each."""
+    """Return the derivatives of the residuals by the logarithms of some of the values in `ALL`, one column each.
+
+    Args:
+        residual: the residuals as a function of the logarithms.
+        at: logarithms of all values.
+        here: the residuals there.
+        places: indices of the values by which to differentiate.
+    """
     unit = np.eye(len(at))
     return np.stack([(residual(at + STEPS[place] * unit[place]) - here) / STEPS[place] for place in places], axis=1)
 
 
 def _reductions(base: RigConfig, at: Real) -> Real:
-    """Return the five reductions in percent."""
+    """Simulate the five gaps of the paper, and return their reductions of DT in percent.
+
+    Args:
+        base: rig with the known values.
+        at: logarithms of the values in `ALL`.
+    """
     config, current_a = rig(base, at[:-1]), float(np.exp(at[-1]))
     motions = [simulated(config, gap, FREQUENCY_HZ, current_a) for gap in REDUCTION_PERCENT]
     return 100.0 * (1.0 - np.exp([motion.log_ratio for motion in motions]))
