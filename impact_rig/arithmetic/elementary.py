@@ -59,7 +59,7 @@ _ROUND = 6755399441055744.0  # 1.5 · 2^52: adding and subtracting it rounds to 
 
 @kernel
 def nearest(x: float) -> float:
-    """Return the integer nearest to x, the even one of two, |x| < 2^51."""
+    """Return the integer nearest to x, for |x| < 2^51; halfway between two, the even one."""
     return (x + _ROUND) - _ROUND
 
 
@@ -94,7 +94,7 @@ def sincos(x: float) -> tuple[float, float]:
 
 @kernel
 def exp(x: float) -> float:
-    """Return e^x; 0 below −708, infinity above 709."""
+    """Return e^x within 1 ulp; 0 below x = −708, infinity above 709."""
     if not x < _LARGEST_EXPONENT:
         return x if x != x else math.inf  # noqa: PLR0124  # only a NaN differs from itself
     if x < _SMALLEST_EXPONENT:
@@ -110,7 +110,7 @@ def exp(x: float) -> float:
 
 @kernel
 def log(x: float) -> float:
-    """Return the natural logarithm of a finite x > 0."""
+    """Return the natural logarithm of a finite x > 0, within 1 ulp."""
     mantissa, exponent = math.frexp(x)
     if mantissa < _HALF_SQRT_2:
         mantissa, exponent = 2.0 * mantissa, exponent - 1
@@ -125,11 +125,11 @@ def log(x: float) -> float:
 
 @kernel
 def power(x: float, y: float) -> float:
-    """Return x^y for a finite x > 0, to (1 + 3 |y ln x|) ulp; 0 for x = 0 and y > 0."""
+    """Return x^y for a finite x > 0, with an error within (1 + 3 |y ln x|) ulp; 0 for x = 0 and y > 0."""
     return exp(y * log(x)) if x > 0.0 else 0.0
 
 
 @kernel
 def modulus(z: complex) -> float:
-    """Return |z| of a complex number; the squares may overflow."""
+    """Return |z| of a complex number; infinity if a square of its parts overflows."""
     return math.sqrt(z.real * z.real + z.imag * z.imag)

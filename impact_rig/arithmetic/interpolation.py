@@ -17,6 +17,10 @@
 
 Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
 ω the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if it is a hundredth.
+
+Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
+ω on a piece of the length 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if
+it is a hundredth.
 """
 
 from __future__ import annotations
@@ -31,12 +35,15 @@ from impact_rig.kernels import INTEGERS, REALS, REALS_2D, Integers, Reals, entry
 
 NODES = 8
 PIECE_TERMS = 14
-"""Number of terms of a power series that `shorten` accepts."""
+"""Number of terms of the power series that `shorten` reduces to NODES terms."""
 
 
 @precise
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes, ascending, TO_MONOMIALS, and its product with node^k, k = NODES … PIECE_TERMS − 1."""
+    """Return the Chebyshev nodes in ascending order, the matrix TO_MONOMIALS, and the matrix that `shorten` uses.
+
+    The latter holds TO_MONOMIALS times the vector of node^k, for k = NODES … PIECE_TERMS − 1.
+    """
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
     for j, node in enumerate(x):
@@ -58,7 +65,10 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 
 @kernel
 def through_nodes(values: Reals, coefficients: Reals) -> None:
-    """Fill in the coefficients of the polynomial through values at the nodes, both shape (NODES,)."""
+    """Fill in the coefficients, constant first, of the polynomial through `values` at the nodes.
+
+    Both arrays have the shape (NODES,).
+    """
     for j in range(NODES):
         total = 0.0
         for k in range(NODES):
@@ -68,7 +78,10 @@ def through_nodes(values: Reals, coefficients: Reals) -> None:
 
 @kernel
 def shorten(series: Reals, coefficients: Reals) -> None:
-    """Fill in the polynomial that agrees with a power series of PIECE_TERMS terms at the nodes."""
+    """Fill in the coefficients of the polynomial of NODES terms that agrees at the nodes with a power series in x.
+
+    `series` holds the PIECE_TERMS coefficients of the power series, constant first.
+    """
     for j in range(NODES):
         total = series[j]
         for k in range(NODES + j % 2, PIECE_TERMS, 2):  # the others are even where this one is odd
@@ -82,7 +95,7 @@ def polynomials(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the polynomials of some quantities on pieces, constant first, shape (quantities, pieces, NODES).
+    """Return quantities as polynomials in x = −1 … 1 on pieces, constant first, shape (quantities, pieces, NODES).
 
     Args:
         of: function that returns the quantities at instants (tick, offset into it), shape (quantities, instants).

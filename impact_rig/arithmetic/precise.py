@@ -35,7 +35,9 @@ CONTEXT = Context(
     prec=DIGITS, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX, traps=[InvalidOperation, DivisionByZero]
 )
 _SETTLED = Decimal("1e-30")
-"""A root is final when its last correction was smaller than this, relative to it; the next is of order its square."""
+"""Relative size of a root's last correction below which the root is final; the next correction is of the order of its
+square.
+"""
 _BLUR = Decimal("1e-40")  # an imaginary part below this part of the root counts as zero
 _MOST_CORRECTIONS = 120
 
@@ -46,7 +48,7 @@ R = TypeVar("R")
 
 
 def precise(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function compute with `DIGITS` digits, regardless of the calling thread's context."""
+    """Return a function that does what `function` does, with `DIGITS` digits in any thread's decimal context."""
 
     @functools.wraps(function)
     def in_context(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -58,7 +60,7 @@ def precise(function: Callable[P, R]) -> Callable[P, R]:
 
 @attrs.frozen
 class Complex:
-    """A complex number of Decimals; its operators use the decimal context of the caller."""
+    """Complex number with Decimals as parts; its operators use the decimal context of the caller."""
 
     real: Decimal
     imag: Decimal = ZERO
@@ -86,7 +88,7 @@ class Complex:
         return complex(float(self.real), float(self.imag))
 
     def square(self) -> Decimal:
-        """Return the squared modulus."""
+        """Return the squared modulus, real² + imag²."""
         return self.real * self.real + self.imag * self.imag
 
     def conjugate(self) -> Complex:
@@ -95,7 +97,7 @@ class Complex:
 
 
 def exactly(value: complex) -> Complex:
-    """Convert a float or a complex without rounding."""
+    """Convert a float or a complex to a `Complex` without rounding."""
     return Complex(Decimal(value.real), Decimal(value.imag))
 
 
@@ -110,7 +112,7 @@ def product(factors: Iterable[Complex]) -> Complex:
 @functools.cache
 @precise
 def pi() -> Decimal:
-    """Return π = 16 atan(1/5) − 4 atan(1/239) (Machin)."""
+    """Return π to `DIGITS` digits, as 16 atan(1/5) − 4 atan(1/239) (Machin)."""
     return 16 * _arc_tangent_of_inverse(5) - 4 * _arc_tangent_of_inverse(239)
 
 
@@ -125,7 +127,7 @@ def _arc_tangent_of_inverse(n: int) -> Decimal:
 
 @precise
 def unit(angle: Decimal) -> Complex:
-    """Return e^{i angle}, angle in radians, by the Taylor series, to `DIGITS` digits for a few turns."""
+    """Return e^{i angle}, the angle in radians, to `DIGITS` digits for an angle of at most a few turns."""
     term, total, k = Complex(ONE), Complex(ONE), 0
     while True:
         k += 1
@@ -137,7 +139,7 @@ def unit(angle: Decimal) -> Complex:
 
 
 def evaluate(coefficients: Sequence[Decimal], s: Complex) -> Complex:
-    """Return p(s) = Σ c_j s^j."""
+    """Return the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first."""
     value = Complex(ZERO)
     for c in reversed(coefficients):
         value = value * s
@@ -146,7 +148,7 @@ def evaluate(coefficients: Sequence[Decimal], s: Complex) -> Complex:
 
 
 def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Complex, Complex]:
-    """Return p(s) and p'(s)."""
+    """Return p(s) and p'(s) of the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first."""
     value, slope = Complex(ZERO), Complex(ZERO)
     for c in reversed(coefficients):
         slope = slope * s + value
@@ -159,7 +161,8 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
     """Return the roots of a real polynomial, or None if two of them are too close to separate.
 
-    Real roots come first, by size, then one of each conjugate pair (imaginary part > 0), by imaginary part.
+    Real roots come first, the largest at the start, then one of each conjugate pair (imaginary part > 0), by imaginary
+    part.
 
     Args:
         coefficients: constant first.
@@ -180,7 +183,10 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 
 
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
-    """Return Aberth's step p / (p' − p Σ 1 / (z − other)), or None if two roots have met."""
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) for the root z, or None if two roots have met.
+
+    It is to be subtracted from z.
+    """
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():
         return value
@@ -204,9 +210,10 @@ def _paired(found: list[Complex]) -> list[Complex] | None:
 
 @precise
 def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]:
-    """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s): shapes (n + 1,) and (n, n, n), constants first.
+    """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s) for a matrix M: shapes (n + 1,), (n, n, n), constants first.
 
-    B_{n−1} = I, c_n = 1; then c_j = −trace(M B_j) / (n − j), B_{j−1} = M B_j + c_j I.
+    p is the characteristic polynomial Σ c_j s^j. B_{n−1} = I, c_n = 1; then c_j = −trace(M B_j) / (n − j), B_{j−1} = M
+    B_j + c_j I.
     """
     n = len(matrix)
     places = range(n)
@@ -223,17 +230,20 @@ def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]
 
 
 def dot(first: Sequence[Decimal], second: Sequence[Decimal]) -> Decimal:
-    """Return Σ first second; products with a zero are skipped."""
+    """Return Σ first_i second_i; products with a zero are skipped."""
     return sum((a * b for a, b in zip(first, second, strict=True) if a and b), ZERO)
 
 
 def modulus(z: Complex) -> Decimal:
-    """Return |z|."""
+    """Return |z| of a complex number."""
     return z.square().sqrt()
 
 
 def square_root(z: Complex) -> Complex:
-    """Return the root of z with a real part >= 0: (a + i Im z / a) / 2, a² = 2 (|z| + Re z), or its mirror image."""
+    """Return the square root of z whose real part is >= 0.
+
+    It is (a + i Im z / a) / 2 with a² = 2 (|z| + Re z) if Re z >= 0, and follows from the root of −z otherwise.
+    """
     if z.real < 0:
         mirrored = square_root(-z)
         return Complex(abs(mirrored.imag), mirrored.real.copy_sign(z.imag))

@@ -50,7 +50,10 @@ _AREA = 0.00492867323399  # of each layer, under exp(-x²/2)
 
 
 def _ziggurat() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the right ends of the layers, lowest first, and the density there; both of shape (_LAYERS + 1,)."""
+    """Return the right end of each layer of the ziggurat, the lowest first, and the density there.
+
+    Both have the shape (_LAYERS + 1,). The density is exp(−x²/2), without a factor.
+    """
     plain_exp, plain_log = getattr(exp, "py_func", exp), getattr(log, "py_func", log)  # importing compiles nothing
     ends, density = np.zeros(_LAYERS + 1), np.ones(_LAYERS + 1)
     height = plain_exp(-0.5 * _TAIL * _TAIL)
@@ -70,7 +73,7 @@ _UNIT_52, _UNIT_53 = 1.0 / 4503599627370496.0, 1.0 / 9007199254740992.0
 
 
 class Random:
-    """A stream of random numbers; the numbers do not depend on how many are drawn at once.
+    """Stream of random numbers; the numbers do not depend on how many are drawn at once.
 
     Args:
         seed: seed of the stream.
@@ -106,7 +109,7 @@ class Random:
 def _next(
     s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[np.uint64, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Return 64 random bits and the next state."""
+    """Return 64 random bits of the generator xoshiro256++ and its next state, from the state s0 … s3."""
     mixed = s0 + s3
     bits = ((mixed << _23) | (mixed >> _41)) + s0
     shifted = s1 << _SEVENTEEN
@@ -123,7 +126,7 @@ def _next(
 def _beyond(
     s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Return a number of the tail (Marsaglia 1964) and the next state."""
+    """Return a normal number beyond the lowest layer's right end (Marsaglia 1964), and the generator's next state."""
     while True:
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
         excess = -log(1.0 - np.float64(bits >> _TWELVE) * _UNIT_52) / _TAIL
@@ -136,7 +139,10 @@ def _beyond(
 def _rejected(
     bits: np.uint64, x: float, s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Decide about a number x beyond the next layer and draw again if it is rejected; return bits, x and next state."""
+    """Decide about a normal number x that the next layer does not cover, and draw others until one is accepted.
+
+    `bits` are the random bits that x was made from. Returns bits, number and the generator's next state.
+    """
     while True:
         layer = np.int64(bits & _BYTE)
         if layer == 0:
@@ -156,7 +162,7 @@ def _rejected(
 
 @entry(WORDS, REALS)
 def fill_normal(state: Words, out: Reals) -> None:
-    """Fill an array with the next standard normal numbers."""
+    """Fill an array with the next standard normal numbers of the generator `state`, which moves on."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -170,7 +176,7 @@ def fill_normal(state: Words, out: Reals) -> None:
 
 @entry(WORDS, REALS)
 def fill_uniform(state: Words, out: Reals) -> None:
-    """Fill an array with the next uniformly distributed numbers, 0 <= x < 1."""
+    """Fill an array with the next numbers of the generator `state`, uniform in 0 <= x < 1; the state moves on."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -198,7 +204,10 @@ _FILTER_STATE = np.dtype(
 
 
 class BandPass(NamedTuple):
-    """A filter: a gain of its input, then its sections as records of a_1 and a_2, the least resonant first."""
+    """Digital band-pass filter: a gain of the input, then sections in series, records of a_1 and a_2.
+
+    The least resonant section comes first.
+    """
 
     gain: float
     sections: NDArray[np.void]
@@ -207,7 +216,9 @@ class BandPass(NamedTuple):
 @functools.cache
 @precise
 def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
-    """Return the filter that turns white noise of unit rms, one number per tick, into band-passed noise of unit rms.
+    """Return the band-pass filter from `low_hz` to `high_hz` that turns white noise of unit rms into noise of unit rms.
+
+    The noise has one number per tick of `tick_s` seconds.
 
     Raises:
         ValueError: the band is empty or not below half the rate of ticks.
@@ -231,14 +242,21 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
 
 
 def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) -> list[Complex]:
-    """Return two poles in the z plane, one of each conjugate pair that a prototype pole and its conjugate give."""
+    """Return two poles of the digital filter, one of each conjugate pair that a low-pass pole and its conjugate give.
+
+    `prototype` is that pole of a low-pass with corner 1; `width` is B and the last argument ω_0² of the band, see this
+    module.
+    """
     half_sum = prototype * Complex(width / 2)
     half_difference = square_root(half_sum * half_sum - Complex(omega_0_square))
     return [(Complex(ONE) + s) / (Complex(ONE) - s) for s in (half_sum + half_difference, half_sum - half_difference)]
 
 
 def _noise_power(poles: list[Complex]) -> Decimal:
-    """Return Σ b_n² of Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹): of c + Σ r_k / (1 − p_k z⁻¹) with b_0 = 1."""
+    """Return the power Σ b_n² of white noise of unit power behind the filter Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹).
+
+    p_k are `poles`. The filter is c + Σ r_k / (1 − p_k z⁻¹) in partial fractions, and b_0 = 1.
+    """
     residues = [_residue(k, poles) for k in range(len(poles))]
     power_after_first = ZERO
     for pole, residue in zip(poles, residues, strict=True):
@@ -256,7 +274,7 @@ def _residue(k: int, poles: list[Complex]) -> Complex:
 
 
 class BandNoise:
-    """A stream of band-passed noise; the numbers do not depend on how many are requested at once.
+    """Stream of band-passed noise; the numbers do not depend on how many are requested at once.
 
     Args:
         band: filter of the noise.
@@ -291,7 +309,10 @@ class BandNoise:
 
 @entry(_SECTION, _FILTER_STATE, REALS)
 def filter_in_place(sections: Records, states: Records, samples: Reals) -> None:
-    """Filter samples in place by sections in series, transposed direct form II, each with its own state."""
+    """Filter samples in place by second-order sections in series, each with its own state.
+
+    A section is (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), in transposed direct form II.
+    """
     for i in range(samples.shape[0]):
         value = samples[i]
         for k in range(sections.shape[0]):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig's instruments: sensors, conditioning, the multiplexed converter, calibration and faults; no ROS."""
+"""Instruments of the rig: sensors, conditioning, the multiplexed converter, calibration and faults; without ROS."""
 
 from typing import TYPE_CHECKING
 

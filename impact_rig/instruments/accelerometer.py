@@ -19,6 +19,12 @@ with the charge in C per m/s² and the amplifier in V/C.
 
 A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure: its pulse is longer and lower and
 rings. The amplifier clips after its filters.
+
+with the charge in C per m/s² and the amplifier in V/C; ω_n is the mounted resonance, ω_h and ω_l the corners of
+high-pass and low-pass, n the order of the latter.
+
+A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure: the pulse in the reading is longer
+and lower than the real one, and rings. The amplifier clips after its filters.
 """
 
 from __future__ import annotations
@@ -79,7 +85,7 @@ class Accelerometer(Instrument):
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the accelerometer's sensor."""
+        """Return the model of the accelerometer with its charge amplifier, from this section's settings."""
         volt_per_unit = self.sensitivity_pc_g * self.amplifier_mv_pc * 1e-3 / STANDARD_GRAVITY
         full = self.saturation_v / volt_per_unit
         return Sensor(
@@ -102,7 +108,7 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu message; it has no field for a clipped reading."""
+        """Return the fields of an Imu message for one reading [m/s²]; it has no field for a clipped reading."""
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {
             "linear_acceleration.x": reading,

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Displacement sensor on the inferior base: a two-pole filter whose output is proportional to x_b."""
+"""Displacement sensor on the inferior base: a two-pole filter, behind which the output is proportional to x_b."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Base(Instrument):
     adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the base's sensor."""
+        """Return the model of the inferior base's displacement sensor, from this section's settings."""
         return Sensor(
             name=self.name,
             quantity=self.senses,
@@ -78,5 +78,8 @@ class Base(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of a Vector3Stamped message, which has no field for clipping or noise."""
+        """Return the fields of a Vector3Stamped message: `vector.x` is the displacement of the inferior base [m].
+
+        The message has no field for clipping or noise.
+        """
         return {"vector.x": reading}

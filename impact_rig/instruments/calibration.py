@@ -11,16 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Calibration: the real errors of a rig's instruments, and their certificate.
+"""Calibration: the real errors of a rig's instruments, and the certificate from which an analysis knows their limits.
 
-SI = (volt − offset) / sensitivity, with the *nominal* sensitivity and offset: the analysis knows nothing else. The true
-values are drawn once per seed, uniformly within the tolerances, and do not change. Standard uncertainties follow the
-GUM: the limit a of a rectangular distribution counts as a/√3 (GUM 4.3.7).
+Readings are computed as (volt − offset) / sensitivity, with the *nominal* sensitivity and offset: the analysis knows
+nothing else. The true values are drawn once per seed, uniformly within the tolerances, and do not change. Standard
+uncertainties follow the GUM: the limit a of a rectangular distribution counts as a/√3 (GUM 4.3.7).
 
-The linearity error is L (c_2 P_2(x) + c_3 P_3(x)) with Legendre polynomials, x = −1 … 1 over the range. (c_2, c_3) are
-drawn uniformly from |c_2| + |c_3| <= 1. The error is then never more than L, and no part of it is gain or offset over
-the full range. Over a *small* part of the range it contains both: about the middle the slope is −1.5 c_3 L over half of
-the range and the offset −0.5 c_2 L, with var c_2 = var c_3 = 1/6. The certificate includes both.
+The linearity error is L (c_2 P_2(x) + c_3 P_3(x)) with its limit L, Legendre polynomials, and x = −1 … 1 over the
+range. (c_2, c_3) are drawn uniformly from |c_2| + |c_3| <= 1. The error is then never more than L, and no part of it is
+gain or offset over the full range. Over a *small* part of the range it contains both: about the middle the slope is
+−1.5 c_3 L over half of the range and the offset −0.5 c_2 L, with var c_2 = var c_3 = 1/6. The certificate includes
+both.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ _VARIANCE_C = 1.0 / 6.0
 
 @attrs.frozen
 class ChannelErrors:
-    """Errors of one channel as parts of their tolerances, within ± 1; (c_2, c_3) within |c_2| + |c_3| <= 1."""
+    """Errors of one sensor as parts of their tolerances, within ± 1: gain, offset, and the linearity's c_2 and c_3.
+
+    |c_2| + |c_3| is at most 1.
+    """
 
     gain: float = 0.0
     offset: float = 0.0
@@ -50,14 +54,14 @@ class ChannelErrors:
 
 @attrs.frozen
 class BoardErrors:
-    """Errors of the converter as parts of their tolerances, within ± 1."""
+    """Errors of the converter's gain and offset as parts of their tolerances, within ± 1."""
 
     gain: float = 0.0
     offset: float = 0.0
 
 
 def draw_channel(random: Random) -> ChannelErrors:
-    """Draw the errors of a channel."""
+    """Draw the errors of one sensor at random, uniformly within their tolerances."""
     gain, offset, total, difference = 2.0 * random.uniform(4) - 1.0
     return ChannelErrors(
         float(gain), float(offset), float(0.5 * (total + difference)), float(0.5 * (total - difference))
@@ -65,30 +69,36 @@ def draw_channel(random: Random) -> ChannelErrors:
 
 
 def draw_board(random: Random) -> BoardErrors:
-    """Draw the errors of the converter."""
+    """Draw the errors of the converter at random, uniformly within their tolerances."""
     gain, offset = 2.0 * random.uniform(2) - 1.0
     return BoardErrors(float(gain), float(offset))
 
 
 def lsb_v(sensor: Sensor, adc: Adc) -> float:
-    """Return the converter's step on this channel [V]."""
+    """Return the converter's step (least significant bit) with the input range of this sensor's channel [V]."""
     return float(2.0 * sensor.adc_range_v / (1 << adc.bits))
 
 
 def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
-    """Return the converter's noise on this channel, rms [V]; it is specified at ± 10 V and scales with the range."""
+    """Return the converter's noise on this sensor's channel, rms [V].
+
+    It is specified at ± 10 V and is proportional to the channel's input range.
+    """
     return adc.noise_v_rms * sensor.adc_range_v / 10.0
 
 
 def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
-    """Return the relative standard uncertainty of the sensitivity, for signals anywhere within the range."""
+    """Return the relative standard uncertainty of the sensitivity of sensor and converter, for signals of any size.
+
+    A small part of the range may differ in slope from the whole by the linearity error, which is therefore included.
+    """
     slope = 1.5 * sensor.linearity / sensor.half_range
     rectangular = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0
     return math.sqrt(rectangular + _square(slope) * _VARIANCE_C)
 
 
 def offset_uncertainty(sensor: Sensor, adc: Adc) -> float:
-    """Return the standard uncertainty of the zero [channel unit]."""
+    """Return the standard uncertainty of the reading at zero [channel unit], from sensor, converter and linearity."""
     board = adc.offset_tolerance * sensor.adc_range_v / sensor.volt_per_unit
     middle = 0.5 * sensor.linearity
     rectangular = _square(sensor.offset_tolerance) / 3.0 + _square(board) / 3.0
@@ -106,7 +116,7 @@ def _square(value: float) -> float:
 
 
 def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[float], ideal: bool) -> NDArray[np.void]:
-    """Return the `blocks.DAQ_INFO` rows: everything that an analysis may know about the instruments.
+    """Return the calibration certificate, `blocks.DAQ_INFO` rows: all that an analysis may know about the instruments.
 
     Args:
         sensors: sensors in scan order.

@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The instruments of a rig as one chain: its input is complete ticks of motion, its output complete scans.
+"""Instruments of a rig as one chain: its input is complete ticks of motion, its output complete scans.
 
-The chain works like a board with a FIFO: `acquire` converts all scans whose instants lie in the given ticks, and `read`
-removes scans. Every random number, filter state and conversion time belongs to a scan or a tick. So neither the number
-of ticks per call nor the block length changes a single bit.
+A scan is one reading of every channel, a tick 10 ms of the scan clock. The chain works like a board with a FIFO:
+`acquire` converts all scans whose instants lie in the given ticks, and `read` removes scans. Every random number,
+filter state and conversion time belongs to a scan or a tick. So neither the number of ticks per call nor the block
+length changes a single bit.
 """
 
 from __future__ import annotations
@@ -50,25 +51,33 @@ from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
-"""First number of the spawn key of every generator of the instruments."""
+"""First number of the spawn key of every random generator of the instruments, which separates them from others of the
+seed.
+"""
 _LONGEST_PIECE_S = 2.5e-3
 _LONGEST_CONTACT_PIECE_S = 16e-6
-"""Integration steps inside a contact are joined up to this length: three polynomials fit a 40 µs contact to 0.1 %."""
+"""Length [s] up to which the integration steps inside a contact are joined to one polynomial: three polynomials fit a
+contact of 40 µs to 0.1 %.
+"""
 _TICKS_AT_ONCE = 25
-"""Arrays of a quarter of a second fit into the caches; the bits are the same for any number."""
+"""Number of ticks that are converted together: arrays of a quarter of a second fit into the caches. The bits are the
+same for any number.
+"""
 _JUMPS = "a_1"
-"""The only quantity whose integral jumps at an instantaneous impact."""
+"""The only quantity that a sensor integrates over a jump: the velocity of the superior base jumps at an instantaneous
+impact.
+"""
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 _LEFT_OVER = 4  # readings that wait for other channels: at most one, and one more after a change of the skews
 
 
 def sensors(config: InstrumentSetup) -> list[Sensor]:
-    """Return the sensors of a configuration in scan order, including the board's anti-alias filter."""
+    """Return the models of the sensors that are scanned, in scan order, including the board's anti-alias filter."""
     return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
 
 class Chain:
-    """All channels of a rig, from the motion to scans.
+    """All instruments of a rig, which turn its motion into scans.
 
     Args:
         config: the rig's configuration; `daq.seed` seeds noise and calibration errors.
@@ -83,26 +92,26 @@ class Chain:
 
     @property
     def config(self) -> InstrumentSetup:
-        """The active configuration."""
+        """Active configuration, whose sections for instruments and scan clock are used."""
         return self._config
 
     @property
     def ready(self) -> int:
-        """Number of complete scans that can be read."""
+        """Number of complete scans that `read` can return."""
         return self._ready
 
     @property
     def next_scan(self) -> int:
-        """Index of the first scan not yet read."""
+        """Number of the first scan that `read` has not returned yet, counted since the reset."""
         return self._next_scan
 
     @property
     def first_open_scan(self) -> int:
-        """Index of the first scan without any converted channel, the earliest at which a fault can start."""
+        """Number of the first scan without any converted channel, the earliest at which a fault can start or end."""
         return int(self._channels["converted"].max())
 
     def reset(self) -> None:
-        """Restart at scan 0 with the original seeds: the same motion then gives the same bits."""
+        """Restart at scan 0 with the original seeds and planned faults: the same motion then gives the same bits."""
         config = self._config
         self._clock = scan_clock(config)
         self._sensors = sensors(config)
@@ -140,7 +149,7 @@ class Chain:
         self._tick = 0
 
     def reconfigure(self, config: InstrumentSetup) -> None:
-        """Change the instruments from the next tick on; counters, noise and faults continue.
+        """Change the settings of the instruments from the next tick on; counters, noise and faults continue.
 
         Raises:
             ConfigError: scan rate, channels, seed or planned faults differ, which needs a reset.
@@ -170,7 +179,7 @@ class Chain:
         self._equip(keep=config.instruments.ideal == ideal)
 
     def acquire(self, motion: PiecewiseMotion, motion_tick: int, count: int, tick_s: float = COMMAND_GRID_S) -> None:
-        """Convert every scan in the next ticks.
+        """Convert every scan in the next `count` ticks of a motion; `read` returns them.
 
         Args:
             motion: motion that covers the ticks; each tick must be given once, in order.
@@ -198,7 +207,9 @@ class Chain:
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Return the next `count` scans as `section.row_type_of` the instruments; `time` counts from the first of them.
+        """Return the next `count` scans, with the row type `section.row_type_of` these instruments.
+
+        The column `time` counts from the first of them [s].
 
         Raises:
             ValueError: fewer scans are ready.
@@ -222,7 +233,7 @@ class Chain:
         return rows
 
     def _make_rows(self, ticks: int) -> None:
-        """Make rows of all scans that every channel has finished after `ticks` new ticks."""
+        """Make rows of all scans that every channel has finished after `ticks` new ticks, for `read`."""
         rows = np.empty((ticks * self._most_per_tick + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
         count = take_rows(self._channels, self._words, self._buffers.clipped, rows, self._layout)
         if count:
@@ -231,7 +242,7 @@ class Chain:
             self._ready += count
 
     def info(self) -> NDArray[np.void]:
-        """Return the calibration certificate, `blocks.DAQ_INFO` rows."""
+        """Return the calibration certificate, `blocks.DAQ_INFO` rows: one per channel, in scan order."""
         instruments = self._config.instruments
         skews_s = [self._clock.skew_s(channel) for channel in range(len(self._sensors))]
         return calibration.certificate(self._sensors, instruments.adc, self._clock.rate_hz, skews_s, instruments.ideal)
@@ -258,10 +269,10 @@ class Chain:
         self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
-        """Start a fault and return its number.
+        """Add a fault, which acts from its `start_sample` on, and return the number by which `clear` ends it.
 
         Raises:
-            CommandError: the first scan has already been converted, or the channel is not present.
+            CommandError: that scan has already been converted, or the fault's channel is not present.
         """
         if fault.start_sample < self.first_open_scan:
             raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start_sample}")
@@ -270,7 +281,7 @@ class Chain:
         return self._faults.add(fault)
 
     def clear(self, number: int | None = None) -> None:
-        """End one fault, or all of them, at the first scan not yet converted.
+        """End the fault with this number, or all faults, at the first scan not yet converted.
 
         Raises:
             CommandError: no such fault has been injected.
@@ -282,7 +293,10 @@ class Chain:
         return self._faults.numbers()
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
-        """Return starts and ends of faults in these scans, `blocks.FAULTS` rows; call once per block, in order."""
+        """Return the starts and ends of faults in these scans, `blocks.FAULTS` rows; call once per block, in order.
+
+        Faults that have ended before these scans are then forgotten.
+        """
         return self._faults.rows(first_scan, count)
 
     def block_lost(self, first_scan: int, count: int) -> bool:
@@ -290,11 +304,18 @@ class Chain:
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
-        """Return by how much clock_drift faults slow the scan clock at a tick [ppm]; the tick is longer by as much."""
+        """Return by how much clock_drift faults slow the scan clock at the start of a tick [ppm].
+
+        A tick of 10 ms on that clock takes longer in the motion's time by as much.
+        """
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
     def _equip(self, *, keep: bool = False) -> None:
-        """Set the channels up for their sensors; if `keep`, modes with unchanged dynamics keep their state."""
+        """Set the records of all channels and modes to the present sensors, calibration errors and converter.
+
+        A mode is a pole of a sensor's dynamics. If `keep`, the modes of a sensor with unchanged dynamics keep their
+        state.
+        """
         config, channels, modes = self._config, self._channels, []
         dynamics = [sensor.transfer.modes() for sensor in self._sensors]
         for j, (sensor, own) in enumerate(zip(self._sensors, dynamics, strict=True)):
@@ -314,7 +335,10 @@ class Chain:
         self._shorten_pieces(config.shaker.frequency_max_hz)
 
     def _shorten_pieces(self, frequency_hz: float) -> None:
-        """Shorten the pieces for a drive of this frequency, until a reset: a faster drive may still be on."""
+        """Shorten the pieces into which a motion is cut, if a drive of this frequency needs that.
+
+        They never grow again until a reset, because a faster drive may still be on.
+        """
         self._longest_piece_s = min(self._longest_piece_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
     def _acquire(
@@ -344,7 +368,10 @@ class Chain:
     def _acquire_directly(
         self, motion: PiecewiseMotion, motion_tick: int, ticks: int, tick_s: float, clock: Clock
     ) -> None:
-        """Read the motion directly: ideal instruments have no skew, and all their channels share their instants."""
+        """Convert ticks for ideal instruments, whose readings are the motion itself.
+
+        They have no skew, so all channels share their instants of conversion.
+        """
         tick, offset = np.empty(ticks * self._most_per_tick, np.int64), np.empty(ticks * self._most_per_tick)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)
         tick, offset = tick[:count], offset[:count]
@@ -363,7 +390,10 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return a channel's newest readings: values, clipped flags, number of the first scan, and the one before."""
+        """Return a channel's newest readings: (values, clipped flags, first scan, the reading before).
+
+        The reading before is None at the start.
+        """
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
         first = int(row["converted"]) - (part.stop - part.start)
@@ -373,7 +403,10 @@ class Chain:
     def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply a stuck converter, which repeats its last reading."""
+        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings, in place.
+
+        `first` is the number of the first one's scan, and `last` the reading before it, None at the start.
+        """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
             self._channels["last_reading"][channel] = readings[-1]
@@ -383,7 +416,10 @@ class Chain:
 
 
 def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
-    """Compute the jumps of the structure's velocity [m/s] by instantaneous impacts at the starts of pieces, (n,)."""
+    """Return the jump of the superior base's velocity [m/s] at the start of each piece, shape (n,).
+
+    The jumps are those of the instantaneous impacts `blows` on a base of the given mass.
+    """
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick
     for tick_index, blow in zip(tick, blows, strict=True):

@@ -13,8 +13,9 @@
 # limitations under the License.
 """All channels over some ticks: conversion times, sensor dynamics, output stage and converter.
 
-Conversions are counted in clock units: 1 ns divided by the number `rate_hz` · channels. A scan period, a skew and a 10
-ms tick are all integers in this unit, so no scan drifts and no result depends on where a block or a call begins.
+Times of conversions are counted in clock units: 1 ns divided by the number `rate_hz` · channels. A scan period, a skew
+and a 10 ms tick are all integers in this unit, so no scan drifts and no result depends on where a block or a call
+begins.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 
 class Clock(NamedTuple):
-    """Lengths of a scan period and of a tick of 10 ms [clock units]."""
+    """Lengths of a scan period and of a tick of 10 ms, in clock units of 1 ns / (`rate_hz` · channels)."""
 
     period: int
     tick: int
@@ -69,23 +70,23 @@ CLOCK = Fields(Clock, (int, int))
 
 @attrs.frozen
 class ScanClock:
-    """Conversion times of a multiplexed converter."""
+    """Times at which a multiplexed converter converts its channels, one after another in each scan."""
 
     rate_hz: int  # scans per second
     lengths: Clock
     skews: tuple[int, ...]  # conversion of each channel after the scan clock, in clock units
 
     def skew_s(self, channel: int) -> float:
-        """Return the delay of the conversion of `channel` after the scan clock [s]."""
+        """Return the time from the start of a scan to the conversion of `channel` [s]."""
         return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
 
     def scans_per_tick(self) -> int:
-        """Return the largest number of scans in one tick."""
+        """Return the largest number of scans that start in one tick."""
         return -(-self.lengths.tick // self.lengths.period)
 
 
 def scan_clock(config: InstrumentSetup) -> ScanClock:
-    """Return the clock of a configuration.
+    """Return the conversion times that a configuration's scan rate, converter and number of channels give.
 
     Raises:
         ConfigError: the scan rate needs more conversions per second than the converter can do.
@@ -107,7 +108,7 @@ def scan_clock(config: InstrumentSetup) -> ScanClock:
 
 
 class Buffers(NamedTuple):
-    """Buffers for the channels' readings on their way from output to scan.
+    """Arrays for the channels' readings on their way from a sensor's output to scans.
 
     Attributes:
         values: output [unit], then volts, then readings [unit], shape (channels, room).
@@ -128,14 +129,17 @@ BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
 
 
 def new_buffers(channels: int, room: int) -> Buffers:
-    """Return buffers for `room` readings of each channel."""
+    """Return empty buffers with room for `room` readings of each channel."""
     values, clipped = np.zeros((channels, room)), np.zeros((channels, room), np.bool_)
     return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES_TERMS)), np.zeros(2))
 
 
 @kernel
 def _conversions(clock: Clock, due: int, tick_s: float, end: float) -> int:
-    """Return the number of conversions from `due` on until the time `end` of this tick."""
+    """Return how many conversions a channel makes until the time `end` of this tick [s], the first of them at `due`.
+
+    `due` is in clock units, and `tick_s` the duration of the tick [s].
+    """
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0
     period_s = tick_s * (clock.period / clock.tick)
@@ -159,7 +163,7 @@ def _respond(
     values: Reals,
     buffers: Buffers,
 ) -> None:
-    """Compute one channel's dynamics over the pieces and store its newest conversions in `values`."""
+    """Compute one channel's dynamics over the pieces and append the output at its conversions to `values` [unit]."""
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
     first_and_spacing[1] = tick_s * (clock.period / clock.tick)
     set_period(modes, first_and_spacing[1])
@@ -191,7 +195,7 @@ def _respond(
 def respond(
     modes: Records, channels: Records, clock: Clock, pieces: Pieces, coefficients: Reals, kicks: Reals, buffers: Buffers
 ) -> None:
-    """Compute the output of all channels up to the volts on their cables.
+    """Compute the output of all channels over some ticks, up to the volts on their cables.
 
     Args:
         modes: SENSOR_MODE records of all channels, one channel after another.
@@ -213,7 +217,7 @@ def respond(
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels: Records, buffers: Buffers) -> None:
-    """Convert the newest volts of all channels into readings."""
+    """Convert the newest volts of all channels into readings, as the converter and the calibration do."""
     for j in range(channels.shape[0]):
         channel = channels[j]
         for begin in range(channel.finished, channel.filled, STRETCH):
@@ -226,7 +230,7 @@ def digitise(channels: Records, buffers: Buffers) -> None:
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
 def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of: Integers, offset: Reals) -> int:
-    """Fill in the instants of the next conversions of all channels without skew: tick, and offset into it [s].
+    """Fill in the instants of the next conversions of channels without skew: the tick, and the offset into it [s].
 
     Returns the number of instants; they count as converted. A channel whose skew has just been removed may be one scan
     behind the others: it converts at all of the instants, the others only at the last ones.
@@ -253,7 +257,7 @@ def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of
 
 @attrs.frozen
 class Sine:
-    """A calibration sine in place of a channel's input, over some ticks; amplitude in the channel's unit."""
+    """Calibration sine that replaces a channel's input for some ticks; its amplitude is in the channel's unit."""
 
     first_tick: int
     ticks: int
@@ -264,25 +268,31 @@ class Sine:
     tick_s: float = COMMAND_GRID_S
 
     def paced(self, tick: int, tick_s: float) -> Sine:
-        """Return the sine with another duration of ticks from `tick` on; its phase does not jump."""
+        """Return the sine with ticks of `tick_s` seconds from `tick` on; its phase does not jump.
+
+        The duration of a tick changes with the error of the scan clock.
+        """
         if tick_s == self.tick_s:
             return self
         anchor_s = self.anchor_s + (tick - self.anchor_tick) * self.tick_s
         return attrs.evolve(self, anchor_s=anchor_s, anchor_tick=tick, tick_s=tick_s)
 
     def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return whether the sine is on, for each of some ticks."""
+        """Return for each of some ticks whether the sine is on in it."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
     def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sine's values at instants of its ticks, shape (1, n)."""
+        """Return the sine's values [unit of the channel] at instants (tick, offset into it), shape (1, n)."""
         out = np.empty((1, len(tick)))
         since_anchor = tick - self.anchor_tick
         _sine(since_anchor, offset_s, self.tick_s, self.anchor_s, TWO_PI * self.frequency_hz, self.amplitude, out[0])
         return out
 
     def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
-        """Overwrite the polynomials of the pieces in the sine's ticks, shape (pieces, NODES); return a mask of them."""
+        """Put the sine into the polynomials of a channel's input, on pieces in its ticks; return a mask of those.
+
+        `coefficients` has the shape (pieces, NODES), and `tick` is the tick of each piece as the sine counts ticks.
+        """
         on = self.covers(tick)
         coefficients[on] = polynomials(self.values, tick[on], pieces.start[on], pieces.end[on])[0]
         return on
@@ -292,12 +302,15 @@ class Sine:
 def _sine(
     tick: Integers, offset: Reals, tick_s: float, anchor_s: float, omega: float, amplitude: float, values: Reals
 ) -> None:
-    """Fill in a sine at `offset` [s] into ticks, counted from the tick at which it had been on for `anchor_s` [s]."""
+    """Fill in a sine at instants (tick, `offset` [s]).
+
+    Ticks are counted from one at whose start the sine had been on for `anchor_s` [s].
+    """
     for i in range(values.shape[0]):
         sine, _ = sincos(omega * (anchor_s + (tick[i] * tick_s + offset[i])))
         values[i] = amplitude * sine
 
 
 def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
-    """Return the sines that have not ended at a tick, by channel, with ticks of `tick_s` from there on."""
+    """Return the sines that have not ended at `tick`, by channel, adapted to ticks of `tick_s` seconds from there."""
     return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

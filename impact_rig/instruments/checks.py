@@ -35,14 +35,14 @@ from impact_rig.instruments.section import InstrumentSetup
 _SETTLE_TICKS = 400  # 4 s, in which the 1 Hz high-pass decays to e^-25
 _MEASURE_TICKS = 100
 _COVERAGE = 2.5
-"""Coverage factor that allows any single error at its tolerance, but not several at their limits: a rectangular error
-reaches √3 standard uncertainties, linearity √6.
+"""Factor by which a deviation may exceed its standard uncertainty. It allows any single error at its tolerance, but not
+several at their limits: a rectangular error reaches √3 standard uncertainties, linearity √6.
 """
 
 
 @attrs.frozen
 class ChannelCheck:
-    """Measurement of a known sine on one channel."""
+    """Result of the known-input check for one channel: the measured sine compared with the certificate."""
 
     channel: str  # name of the channel
     expected: float  # peak of the reading according to the certificate [unit]
@@ -57,7 +57,7 @@ class ChannelCheck:
 
 
 class _Rest:
-    """Motion of a rig at rest."""
+    """Motion of a rig at rest, as instruments read it: all quantities are zero, and there are no impacts."""
 
     impacts = np.zeros(
         0, dtype=[("tick", "i8"), ("offset", "f8"), ("wall", "i1"), ("impulse", "f8"), ("duration", "f8")]
@@ -69,7 +69,7 @@ class _Rest:
         tick: NDArray[np.int64],
         offset_s: NDArray[np.float64],  # noqa: ARG002 - required by the protocol
     ) -> NDArray[np.float64]:
-        """Return zeros."""
+        """Return zeros for each quantity at each instant, shape (names, instants)."""
         return np.zeros((len(names), len(tick)))
 
     def polynomials(
@@ -79,11 +79,11 @@ class _Rest:
         start_s: NDArray[np.float64],  # noqa: ARG002
         end_s: NDArray[np.float64],  # noqa: ARG002
     ) -> NDArray[np.float64]:
-        """Return zeros."""
+        """Return zeros as polynomials of each quantity on each piece, shape (names, pieces, NODES)."""
         return np.zeros((len(names), len(tick), NODES))
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return no breakpoints."""
+        """Return empty arrays (tick, offset): a motion at rest is smooth everywhere."""
         return np.empty(0, dtype=np.int64), np.empty(0)
 
 
@@ -126,7 +126,10 @@ def check_known_input(
 
 
 def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dict[str, int]:
-    """Return for every channel 1 if a push to the right reads positive, −1 if negative, 0 if there is no signal."""
+    """Return for every channel 1 if a positive input reads positive, −1 if negative, 0 if there is no signal.
+
+    Positive is to the right. A channel with −1 is wired the wrong way round.
+    """
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 
 

@@ -14,18 +14,21 @@
 """Conversion of a sensor's clean output to readings.
 
 A channel adds linearity error and noise, limits the range and gives volts. The converter gives codes, the codes give
-SI units, and the readings of all channels give rows of scans.
+readings in SI units, and the readings of all channels give rows of scans.
 
 A sensor's noise has the sensor's bandwidth: it is white noise behind a first-order low-pass, sampled exactly. From one
-conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, with memory = e^{−2π bandwidth period}.
-Its rms is that of the specification at every scan rate, and its spectrum is a Lorentzian. With x = −1 … 1 over the
-range and Legendre's polynomials,
+conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, with memory = e^{−2π bandwidth period}
+and period the time between scans. Its rms is that of the specification at every scan rate, and its spectrum is a
+Lorentzian. With x = −1 … 1 over the range and Legendre's polynomials,
 
     value = clean + linearity_2 (3 x² − 1)/2 + linearity_3 (5 x³ − 3 x)/2 + noise,
             rounded to the output's own resolution, limited to its range
     volts = gain value + offset
     code  = round((adc_gain (volts + adc_noise white) + adc_offset) / lsb), limited to the converter's codes
     reading = code scale + zero
+
+with the true gains and offsets of sensor (`gain`, `offset`) and converter (adc_…), and the nominal ones in `scale` and
+`zero`.
 
 The arithmetic runs over short stretches that stay in the first cache, in one simple loop after another; the compiler
 then processes two scans at a time.
@@ -94,15 +97,15 @@ CHANNEL = np.dtype(
     ],
     align=True,
 )
-"""One channel: sensor, cable and converter, with all state that continues from tick to tick."""
+"""Record of one channel: sensor, cable and converter, with all state that continues from tick to tick."""
 
 STRETCH = 512
-"""Number of scans that pass through a stage together."""
+"""Largest number of scans that pass through the conversion together, few enough for the CPU's first cache."""
 TWO_D_FLAGS, TWO_D_WORDS = Array(np.dtype("?"), 2), Array(np.dtype("u8"), 2)
 
 
 def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors, scan_period_s: float) -> None:
-    """Set the output stage of one CHANNEL record to that of a sensor with these errors."""
+    """Set the output stage of one CHANNEL record, up to the volts, to that of a sensor with these errors."""
     sign = -1.0 if sensor.inverted else 1.0
     gain = sign * sensor.volt_per_unit * (1.0 + errors.gain * sensor.gain_tolerance)
     memory = exp(-TWO_PI * sensor.bandwidth_hz * scan_period_s)
@@ -115,7 +118,7 @@ def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors,
 
 
 def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: BoardErrors) -> None:
-    """Set the converter of one CHANNEL record."""
+    """Set the converter of one CHANNEL record, from volts to readings, with these calibration errors of the board."""
     lsb = calibration.lsb_v(sensor, adc)
     channel["adc_noise"] = calibration.converter_noise_v(sensor, adc)
     channel["adc_gain"] = 1.0 + errors.gain * adc.gain_tolerance
@@ -134,7 +137,7 @@ def clamped(value: float, low: float, high: float) -> float:
 
 @kernel
 def to_volts(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
-    """Turn the output of the dynamics [unit] into volts on the cable, at most STRETCH values, in place.
+    """Turn the output of a sensor's dynamics [unit] into volts on the cable, at most STRETCH values, in place.
 
     Marks in `clipped` where the sensor was at an end of its range; `white` is scratch and finally holds the noise
     [unit].
@@ -168,7 +171,7 @@ def to_volts(channel: Record, values: Reals, clipped: Flags, white: Reals) -> No
 
 @kernel
 def to_units(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
-    """Turn volts into readings [unit], at most STRETCH of them, in place.
+    """Turn volts on a channel's cable into readings [unit], at most STRETCH of them, in place.
 
     Also marks in `clipped` where the converter was at an end of its range.
     """

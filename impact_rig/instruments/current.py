@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Coil current monitor of the power amplifier, the phase reference: a first-order low-pass far above the drive."""
+"""Coil current monitor of the power amplifier, whose signal is the phase reference: a first-order low-pass.
+
+Its corner is far above the drive frequency.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from impact_rig.instruments.sensor import Sensor, lag
 
 @attrs.frozen(kw_only=True)
 class Current(Instrument):
-    """Coil current monitor of the power amplifier, the phase reference."""
+    """Coil current monitor of the power amplifier, to whose phase those of the other channels are referred."""
 
     name = "current"
     place = 3
@@ -43,7 +46,7 @@ class Current(Instrument):
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the current's sensor."""
+        """Return the model of the coil current monitor, from this section's settings."""
         full = self.saturation_v * self.sensitivity_a_v
         return Sensor(
             name=self.name,

@@ -19,8 +19,8 @@ A configuration plans faults in lines of text, times in seconds since the reset:
 
 `duration_s=0` (the default) means until the fault is cleared; faults of the whole board have no `channel`.
 
-`FaultBoard` holds the active faults of a rig with their state from scan to scan. Faults of a channel act on the volts
-on its cable, so they pass through the converter as real ones would; `stuck` acts behind the converter. `lost_block` and
+`FaultBoard` holds the faults of a rig with their state from scan to scan. Faults of a channel act on the volts on its
+cable, so they pass through the converter as real ones would; `stuck` acts behind the converter. `lost_block` and
 `clock_drift` concern the whole board: the rig asks `FaultBoard` about them.
 """
 
@@ -43,7 +43,9 @@ from impact_rig.instruments.registry import INSTRUMENTS
 DEFAULT_SPIKE_RATE_HZ = 10.0
 MOST = 2**53  # largest integer: the columns of `truth/faults` are not exact beyond it
 LARGEST_DRIFT_PPM = 5e5
-"""Limit of the drift of the scan clock: at −10⁶ ppm a tick would take no time, far above 0 one would take for ever."""
+"""Largest drift of the scan clock that faults can cause [ppm], in either direction: at −10⁶ ppm a tick would take no
+time, far above 0 one would take for ever.
+"""
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 
 
@@ -91,13 +93,13 @@ class Fault:
                 raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
 
     def line(self, scan_rate_hz: int) -> str:
-        """Return the fault as text for `instruments.faults.planned`."""
+        """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds."""
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
         return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
 
     @classmethod
     def from_line(cls, line: str, scan_rate_hz: int) -> Fault:
-        """Return the fault that a line of text describes; a duration > 0 lasts at least one scan.
+        """Return the fault that a line of text describes, see this module; a duration > 0 lasts at least one scan.
 
         Raises:
             ConfigError: the kind, channel or key is unknown, or a value is malformed or out of range.
@@ -127,7 +129,7 @@ class Fault:
 
 
 def fault_line(kind: str, channel: str, **numbers: float) -> str:
-    """Return a fault as one line of text, see `Fault.from_line`; default values are left out."""
+    """Return a fault as one line of text that `Fault.from_line` reads; default numbers are left out."""
     usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
     given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
     return " ".join([kind, *([f"channel={channel}"] if channel else []), *given])
@@ -135,7 +137,7 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Faults planned from the start; none by default."""
+    """Section `instruments.faults` of a configuration: faults that are planned from the reset on; none by default."""
 
     planned: tuple[str, ...] = names(
         (), "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s from the reset, or from when set."
@@ -148,7 +150,7 @@ class FaultPlan:
             raise ConfigError(f"planned: {error}") from error
 
     def faults(self, scan_rate_hz: int) -> tuple[Fault, ...]:
-        """Return the planned faults.
+        """Return the planned faults, with their times converted to scans at this scan rate.
 
         Raises:
             ConfigError: a line is malformed; the message quotes it.
@@ -157,7 +159,7 @@ class FaultPlan:
 
 
 def _check_kind(kind: str, channel: str) -> None:
-    """Raise an error for an unknown kind, or a channel that does not fit the kind."""
+    """Raise a CommandError if the kind of fault is unknown, or if the channel does not have this kind."""
     if kind not in FAULT_KINDS:
         raise CommandError(f"fault kind must be one of {', '.join(FAULT_KINDS)}, got {kind!r}")
     if kind in BOARD_KINDS:
@@ -192,7 +194,7 @@ _NO_ROWS = np.zeros(0, FAULTS)
 
 @attrs.define(eq=False)
 class _Active:
-    """A fault with its state from scan to scan."""
+    """Fault of a `FaultBoard` with its number, end and random numbers, which continue from scan to scan."""
 
     number: int
     fault: Fault
@@ -200,14 +202,14 @@ class _Active:
     random: Random
 
     def overlap(self, first: int, count: int) -> slice:
-        """Return the part of the scans first … first + count that the fault acts on."""
+        """Return the part of the scans first … first + count − 1 that the fault acts on, as a slice of them."""
         low = min(max(self.fault.start_sample, first), first + count)
         high = min(max(self.end, low), first + count)
         return slice(low - first, int(high) - first)
 
 
 class FaultBoard:
-    """All faults of a rig, planned or injected."""
+    """All faults of a rig, planned or injected, and their effect on volts, readings and scan clock."""
 
     def __init__(self, faults: Iterable[Fault], rate_hz: int) -> None:
         self._rate_hz = rate_hz
@@ -217,7 +219,7 @@ class FaultBoard:
             self.add(fault)
 
     def add(self, fault: Fault) -> int:
-        """Add a fault and return its number."""
+        """Add a fault and return the number by which `clear` ends it."""
         self._last_number += 1
         end = fault.start_sample + fault.samples if fault.samples else math.inf
         random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
@@ -225,11 +227,11 @@ class FaultBoard:
         return self._last_number
 
     def numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the faults that are still stored."""
+        """Return the numbers of the faults that are stored: those that act or will act, and some that have ended."""
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
-        """End one fault, or all, at a scan; a fault that would have started later never starts.
+        """End the fault with this number, or all, at scan number `scan`; a fault that starts later never acts.
 
         Clearing a fault that has ended is allowed. How long such a fault is stored depends on the division into blocks,
         and so must not matter.
@@ -245,13 +247,17 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the channels that have faults; "" stands for the whole board."""
+        """Return the names of the channels that have faults; "" stands for the whole board."""
         return {active.fault.channel for active in self._faults}
 
     def on_cable(
         self, channel: str, volts: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, gain: float, zero: float
     ) -> None:
-        """Apply the faults of a channel to the volts on its cable, in place; nominal gain [V/unit] and zero [V]."""
+        """Apply the faults of a channel, except a stuck converter, to the volts on its cable, in place.
+
+        `first` is the number of the first value's scan; `gain` [V/unit] and `zero` [V] are nominal. Flags in `clipped`
+        change with the volts.
+        """
         for active in self._faults:
             if active.fault.channel == channel:
                 part = active.overlap(first, len(volts))
@@ -283,7 +289,10 @@ class FaultBoard:
     def behind_converter(
         self, channel: str, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply a stuck converter, which repeats itself, in place; `last` is the reading before these."""
+        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings, in place.
+
+        `first` is the number of the first reading's scan, and `last` the reading before it, None at the start.
+        """
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":
                 part = active.overlap(first, len(readings))
@@ -293,7 +302,7 @@ class FaultBoard:
                     clipped[part] = False
 
     def rows(self, first: int, count: int) -> NDArray[np.void]:
-        """Return the `blocks.FAULTS` rows of the scans first … first + count: starts and ends, in order.
+        """Return starts and ends of faults in the scans first … first + count − 1, in order: `blocks.FAULTS` rows.
 
         Faults that ended before these scans are removed.
         """
@@ -321,12 +330,12 @@ class FaultBoard:
         return rows
 
     def block_lost(self, first: int, count: int) -> bool:
-        """Return whether a lost_block fault acts on any of these scans."""
+        """Return whether a lost_block fault acts on any of these scans, so that their block is withheld."""
         lost = (active for active in self._faults if active.fault.kind == "lost_block")
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return the slowdown of the scan clock by faults at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
+        """Return by how much clock_drift faults slow the scan clock at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
         if not self._faults:
             return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")

@@ -41,9 +41,11 @@ CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
 
 @attrs.frozen(kw_only=True)
 class Instrument:
-    """An instrument on one channel of the board; its fields, made by `impact_rig.config.fields`, form its section.
+    """Base class of an instrument on one channel of the board.
 
-    An instrument with a field `present` is scanned only while that is true; the field must be read-only.
+    The fields of an instrument form its section `instruments.<name>` of the configuration; make them with
+    `impact_rig.config.fields`. An instrument with a field `present` is scanned only while that is true; the field must
+    be read-only.
     """
 
     name: ClassVar[str]  # name of the channel: its column of daq/scan and its section `instruments.<name>`
@@ -56,16 +58,16 @@ class Instrument:
 
     @property
     def adc_range_v(self) -> float:
-        """Input range of the converter, ± [V]; every instrument has such a field."""
+        """Input range of the converter for this channel, ± [V]; every instrument has such a field."""
         raise NotImplementedError
 
     @property
     def fitted(self) -> bool:
-        """State of the switch `present`: whether the board scans this instrument."""
+        """State of the switch `present`: whether the board scans this instrument; true without that switch."""
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
-        """Return the sensor model: the transfer function, range and noise of the channel."""
+        """Return the model of the channel's sensor: transfer function, range, noise; every instrument defines it."""
         raise NotImplementedError
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
@@ -80,5 +82,5 @@ class Instrument:
 
     @classmethod
     def column(cls) -> Column:
-        """Return its column of daq/scan."""
+        """Return the description of this instrument's column in the scans, daq/scan: name, unit and text."""
         return Column(cls.name, cls.unit, cls.doc)

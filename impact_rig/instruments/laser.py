@@ -13,8 +13,9 @@
 # limitations under the License.
 """Laser displacement sensor on the superior base: a first-order lag, a digital output stage, and a limited range.
 
-It measures a distance, `distance_m` − x_1, with 0 V at the near end: `output_v` (1 − x_1/`half_range_m`) / 2. Its
-sensitivity to x_1 is therefore negative. Out of range it keeps the end at which it left, and the status flags it.
+It measures a distance, `distance_m` − x_1. Its output is `output_v` (1 − x_1/`half_range_m`) / 2, 0 V at the near end
+of the range. The sensitivity to x_1 is therefore negative. Out of range the output stays at the end at which it left,
+and the status flags it.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class Laser(Instrument):
             raise ConfigError(f"half_range_m must be < distance_m = {self.distance_m:g} m, got {self.half_range_m:g} m")
 
     def sensor(self) -> Sensor:
-        """Return the laser's sensor."""
+        """Return the model of the laser displacement sensor, from this section's settings."""
         return Sensor(
             name=self.name,
             quantity=self.senses,
@@ -100,7 +101,10 @@ class Laser(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
-        """Return the fields of a Range message; a reading out of range is infinitely near or far (REP-117)."""
+        """Return the fields of a Range message for one reading; out of range, the distance is infinite (REP-117).
+
+        It is −Inf if the superior base is too near, +Inf if too far.
+        """
         nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
         distance = self.distance_m - reading
         if clipped or not nearest <= distance <= farthest:

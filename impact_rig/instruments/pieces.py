@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A motion cut into smooth pieces, each a polynomial, from which the sensors' exact response is computed.
+"""Motion cut into smooth pieces, each a polynomial, from which the sensors' exact response is computed.
 
-Between breakpoints every quantity is smooth. Over breakpoints that are close together it is smooth enough, so that
-eight coefficients describe it (see `arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10
-ms four. That makes some five hundred pieces per second, independent of the scan rate.
+Between breakpoints, the events of the motion, every quantity is smooth. Over breakpoints that are close together it is
+smooth enough, so that eight coefficients describe it (see `arithmetic.interpolation`). A contact of 40 µs becomes three
+pieces, a flight of 10 ms four. That makes some five hundred pieces per second, independent of the scan rate.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ from numpy.typing import NDArray
 from impact_rig.kernels import INTEGERS, REALS, Fields, Integers, Reals, entry, kernel
 
 PIECES_PER_PERIOD = 2.0
-"""Least number of pieces in a period of the fastest drive."""
+"""Least number of pieces into which a period of the fastest drive is cut."""
 
 
 class PiecewiseMotion(Protocol):
-    """Interface of a motion for instruments; `impact_rig.physics.Motion` has it, and any analytic motion can.
+    """Interface of a motion that instruments can read; `impact_rig.physics.Motion` has it, and any analytic motion can.
 
-    Quantities of the rig are functions of (tick, offset within it); a tick takes 10 ms of the scan clock.
+    Quantities of the rig are functions of (tick, offset within it [s]); a tick takes 10 ms of the scan clock.
     """
 
     @property
     def impacts(self) -> NDArray[np.void]:
-        """Contacts, with fields tick, offset [s], wall (-1 left, +1 right), impulse [N s] and duration [s]."""
+        """Contacts, with fields tick, offset [s], wall (−1 left, +1 right), impulse [N s] and duration [s]."""
 
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities (SI) at each instant, shape (names, n)."""
+        """Return the named quantities, such as `x_1` (SI), at each instant (tick, offset into it), shape (names, n)."""
 
     def polynomials(
         self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities on pieces between breakpoints, shape (names, n, NODES).
+        """Return the named quantities as polynomials on pieces between breakpoints, shape (names, n, NODES).
 
-        See `arithmetic.interpolation.polynomials`, which computes them from `quantities`.
+        Each piece lies in one tick, from `start_s` to `end_s` after its start. `arithmetic.interpolation.polynomials`
+        computes the polynomials from `quantities`.
         """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -60,7 +61,7 @@ class PiecewiseMotion(Protocol):
 
 
 class Limits(NamedTuple):
-    """Lengths for cutting ticks [s]: a tick, the longest piece of a flight, and the longest joined neighbours."""
+    """Lengths [s] for cutting ticks into pieces: a tick, the longest piece of a flight, the longest joined piece."""
 
     tick_s: float
     longest_s: float
@@ -71,7 +72,7 @@ LIMITS = Fields(Limits, (float, float, float))
 
 
 class Pieces(NamedTuple):
-    """Smooth pieces of some ticks, in order; offsets [s] count from the start of the piece's tick.
+    """Smooth pieces of some ticks, in order; their times [s] count from the start of the piece's tick.
 
     Attributes:
         first_piece: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
@@ -94,7 +95,7 @@ PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, INTEGERS, float))
 def cut(
     breakpoints: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits
 ) -> Pieces:
-    """Cut ticks of a motion at its breakpoints.
+    """Cut some ticks of a motion at its breakpoints into smooth pieces, and return these.
 
     Args:
         breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.
@@ -115,7 +116,10 @@ def cut(
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces: Pieces) -> int:
-    """Fill `pieces`, which must have room; return the number of pieces."""
+    """Fill `pieces` with the pieces of its ticks, between the breakpoints (tick, offset); return their number.
+
+    The arrays must have room for them. `motion_tick` is the number of the first tick in the motion.
+    """
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
     ticks = first.shape[0] - 1
@@ -145,7 +149,11 @@ def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces
 
 @kernel
 def _next_break(offset: Reals, next_break: int, breaks_end: int, from_s: float, limits: Limits) -> tuple[int, float]:
-    """Return the first breakpoint not yet reached, and the end of the (joined) pieces from `from_s` to it."""
+    """Return the index of the first breakpoint not yet reached by the next piece, and that piece's end [s].
+
+    The piece starts at `from_s` in its tick. It joins neighbours up to `limits.joined_s`; a flight is cut further
+    later.
+    """
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:
         next_break += 1

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The exact response of a sensor's modes to a motion, evaluated at the instants of conversion.
+"""Exact response of a sensor's modes to a motion, evaluated at the instants of conversion.
 
-The value of a mode follows ψ' = λ ψ + S, with S the sensor's input and λ the mode's pole; the output is the sum of
-Re(residue ψ) over the modes. On a piece of half length `half` the input is a polynomial, S = Σ S_k x^k, x = −1 … 1, and
-the mode is the sum of a particular answer to it and a free response:
+The value of a mode follows ψ' = λ ψ + S, with S the sensor's input and λ the mode's pole; the sensor's output is the
+sum of Re(residue ψ) over its modes. On a piece of half length `half` the input is a polynomial, S = Σ S_k x^k, x = −1 …
+1, and the mode is the sum of a particular answer to it and a free response:
 
     ψ = Σ ψ_k x^k + (ψ(−1) − Σ ψ_k (−1)^k) exp(λ half (x + 1))
 
@@ -54,18 +54,20 @@ SENSOR_MODE = np.dtype(
         ("free_im", "f8"),  # imaginary part of it [unit]
     ]
 )
-"""A mode of a channel."""
+"""Record of a mode of a channel: one pole of its sensor's dynamics, with the state ψ."""
 
 SERIES_TERMS = 16
 _SHORT_TERMS = 10
-"""Number of terms of the sum of all modes' polynomials; further terms are lost in the rounding of the others."""
+"""Number of terms of the sum of all modes' polynomials that usually suffice: the others are lost in the rounding. If
+they are not, all SERIES_TERMS are used.
+"""
 _LOST = 2.0**-54
 _SILENT = 45.0  # exp(−45) = 3e-20
 
 
 @kernel
 def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
-    """Return exp((re + j im) seconds)."""
+    """Return real and imaginary part of exp((re + j im) seconds), by which a mode with this pole decays."""
     envelope = exp(re * seconds)
     if im == 0.0:
         return envelope, 0.0
@@ -75,7 +77,7 @@ def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
 
 @kernel
 def set_period(modes: Records, period_s: float) -> None:
-    """Set the factor by which each mode decays in one scan period."""
+    """Set in each mode the factor by which it decays in one scan period, and after how many scans it is negligible."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
@@ -84,7 +86,7 @@ def set_period(modes: Records, period_s: float) -> None:
 
 @kernel
 def settle(modes: Records, level: float) -> None:
-    """Set the modes as if the input had always been `level`: ψ = −level / λ."""
+    """Set the states ψ of the modes as if the sensor's input had always been `level`: ψ = −level / λ."""
     for k in range(modes.shape[0]):
         mode = modes[k]
         per_square = 1.0 / (mode.pole_re * mode.pole_re + mode.pole_im * mode.pole_im)
@@ -93,7 +95,7 @@ def settle(modes: Records, level: float) -> None:
 
 @kernel
 def input_at_start(coefficients: Reals) -> float:
-    """Return S at x = −1, the start of the piece, from its coefficients."""
+    """Return the sensor's input S at the start of a piece, x = −1, from its coefficients."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
         value = coefficients[k] - value
@@ -102,7 +104,7 @@ def input_at_start(coefficients: Reals) -> float:
 
 @kernel
 def output_at_start(modes: Records) -> float:
-    """Return the output of the modes at the start of the piece."""
+    """Return the sensor's output at the start of a piece, the sum of Re(residue ψ) over its modes."""
     value = 0.0
     for k in range(modes.shape[0]):
         mode = modes[k]
@@ -112,7 +114,11 @@ def output_at_start(modes: Records) -> float:
 
 @kernel
 def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> tuple[float, float, float, float]:
-    """Fill psi, shape (2, SERIES_TERMS), with the particular answer to S; return re and im of it at x = −1 and 1."""
+    """Fill psi with the particular answer of a mode to the input S on a piece, as coefficients of x^k.
+
+    psi has the shape (2, SERIES_TERMS), real and imaginary part; `half` is the half length of the piece [s]. Returns
+    real and imaginary part of the answer at x = −1, then at x = 1.
+    """
     pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
     even_re, even_im, odd_re, odd_im = 0.0, 0.0, 0.0, 0.0
@@ -152,7 +158,7 @@ def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> t
 def through_piece(
     modes: Records, coefficients: Reals, length: float, first_and_spacing: Reals, scratch: Reals, out: Reals
 ) -> None:
-    """Advance the modes through a piece; fill `out` with their output at the conversions in it.
+    """Advance the modes of a channel through a piece; fill `out` with the sensor's output at the conversions in it.
 
     Args:
         modes: modes of one channel.
@@ -187,7 +193,7 @@ def through_piece(
 
 @kernel
 def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> float:
-    """Fill in the polynomial at x = first, first + spacing, …; return the magnitude of its coefficients."""
+    """Fill in the polynomial at x = first, first + spacing, …; return the magnitude of its largest coefficient."""
     largest, beyond = 0.0, 0.0
     for k in range(SERIES_TERMS):
         largest = max(largest, abs(total[k]))
@@ -211,7 +217,10 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 
 @kernel
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
-    """Add a mode's free response where it is not lost in the rounding of the rest."""
+    """Add a mode's free response to the outputs at a piece's conversions, as long as it is not lost in the rounding.
+
+    `largest` is the magnitude of the rest of the output.
+    """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:
         return
@@ -227,7 +236,7 @@ def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
 
 
 def mode_records(poles: NDArray[np.complex128], residues: NDArray[np.complex128]) -> NDArray[np.void]:
-    """Return SENSOR_MODE records with zero state."""
+    """Return SENSOR_MODE records with these poles and residues and with the state zero."""
     rows = np.zeros(len(poles), SENSOR_MODE)
     rows["pole_re"], rows["pole_im"] = poles.real, poles.imag
     rows["residue_re"], rows["residue_im"] = residues.real, residues.imag

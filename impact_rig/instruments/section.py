@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The configuration's `instruments` section: the board, the faults, and one subsection per instrument.
+"""Section `instruments` of the configuration: the board, the faults, and one subsection per instrument.
 
-Tolerances are limits: the rig draws its errors once per seed, uniformly within them, and the analysis knows only the
-limits. The columns of daq/scan follow from the instruments that are fitted, in the order of their positions.
+Tolerances are limits: the rig draws its calibration errors once per seed, uniformly within them, and the analysis knows
+only the limits. The columns of daq/scan follow from the instruments that are present, in the order of their positions.
 """
 
 from __future__ import annotations
@@ -39,14 +39,17 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the section's attributes, with those of the instruments after the first."""
+    """Return the attributes of the section `instruments`, with one for each instrument of the registry after the first.
+
+    attrs calls this while it makes the class `Instruments`.
+    """
     fields = {name: attrs.field(factory=kind, type=kind) for name, kind in INSTRUMENTS.items()}
     return [own[0], *attrs.fields(attrs.make_class("_", fields, kw_only=True)), *own[1:]]
 
 
 @attrs.frozen(kw_only=True, field_transformer=_with_instruments)
 class Instruments:
-    """All instruments of the rig, each under the name of its channel."""
+    """Section `instruments` of a configuration: converter, faults, and instruments under their channels' names."""
 
     ideal: bool = switch(False, "Ideal instruments: no noise, calibration error, lag, skew, quantisation or range.")
     adc: Adc = attrs.field(factory=Adc)
@@ -71,34 +74,38 @@ class Instruments:
                 )
 
     def all(self) -> tuple[Instrument, ...]:
-        """Return every instrument, in scan order."""
+        """Return the settings of every instrument, present or not, in scan order."""
         found: tuple[Instrument, ...] = operator.attrgetter(*INSTRUMENTS)(self)
         return found
 
     def fitted(self) -> tuple[Instrument, ...]:
-        """Return the instruments that are scanned."""
+        """Return the settings of the instruments that are present, and so scanned, in scan order."""
         return tuple(filter(operator.attrgetter("fitted"), self.all()))
 
 
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
-    """Return the columns of a scan of these instruments; the status bit of channel j is 1 << j."""
+    """Return the columns of a scan of these instruments: time, one for each, status.
+
+    Bit j of the status, 1 << j, says that channel j was out of range.
+    """
     time, status = SCAN_TOPIC.fields
     return (time, *(instrument.column() for instrument in fitted), status)
 
 
 def row_type_of(instruments: Instruments) -> np.dtype[np.void]:
-    """Return the row type of a configuration's scans."""
+    """Return the NumPy type of one scan with the instruments that are present."""
     return row_type(columns(instruments.fitted()))
 
 
 COLUMNS = columns(INSTRUMENTS.values())  # with all instruments
 SCAN = row_type_of(Instruments())  # the rows of the default configuration
 CHANNELS = tuple(instrument.name for instrument in Instruments().fitted())
-"""Channels of the default scan; channel j is converted j conversion intervals after the scan clock."""
+"""Names of the channels in the default scan; channel j is converted j conversion intervals after the start of the scan.
+"""
 
 
 def channels_of(rows: NDArray[np.void]) -> tuple[str, ...]:
-    """Return the channels of some scans: their columns except time and status."""
+    """Return the names of the channels in some scans: the columns except time and status."""
     return tuple(name for name in rows.dtype.names or () if name not in _COMMON)
 
 
@@ -106,24 +113,24 @@ _COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
-    """Sections of a configuration that the instruments need; `impact_rig.rig.config.RigConfig` has them."""
+    """Interface of a configuration for the instruments: the sections that they need; `RigConfig` has them."""
 
     @property
     def daq(self) -> Daq:
-        """Scan clock and seed."""
+        """Section `daq`, for scan clock and seed."""
 
     @property
     def instruments(self) -> Instruments:
-        """The instruments themselves."""
+        """Section `instruments`: the instruments themselves, converter and faults."""
 
     @property
     def drive(self) -> Drive:
-        """Drive section, for the highest frequency of a chirp."""
+        """Section `drive`, for the highest frequency of a chirp."""
 
     @property
     def shaker(self) -> Shaker:
-        """Shaker section, for the highest commanded frequency."""
+        """Section `shaker`, for the highest frequency that can be commanded."""
 
     @property
     def structure(self) -> Structure:
-        """Structure section, for the mass whose velocity jumps at an impact."""
+        """Section `structure`, for the mass whose velocity jumps at an instantaneous impact."""

@@ -64,24 +64,29 @@ class Adc:
 
 
 _DISTINCT = Decimal("1e-5")
-"""Least relative distance of two poles: closer ones are moved apart, because partial fractions need distinct poles."""
+"""Least relative distance of two poles of a sensor: closer ones are moved apart, because partial fractions need
+distinct poles.
+"""
 
 
 @attrs.frozen(eq=False)
 class SensorModes:
-    """Partial fractions of a strictly proper H: the output is Σ Re(residue ψ), ψ' = pole ψ + input."""
+    """Transfer function of a sensor as partial fractions: its output is Σ Re(residue ψ), with ψ' = pole ψ + input.
+
+    The transfer function is strictly proper: it has more poles than zeros.
+    """
 
     poles: NDArray[np.complex128]  # complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0
     residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
 
     def same_as(self, other: SensorModes) -> bool:
-        """Return whether both describe the same dynamics, bit for bit."""
+        """Return whether both have the same poles and residues, bit for bit."""
         return np.array_equal(self.poles, other.poles) and np.array_equal(self.residues, other.residues)
 
 
 @attrs.frozen
 class Transfer:
-    """H(s) = gain Π(s − zero) / Π(s − pole); a product of two is the cascade."""
+    """Transfer function H(s) = gain Π(s − zero) / Π(s − pole); the product of two is the cascade of both filters."""
 
     zeros: tuple[Complex, ...]  # of many digits [rad/s]
     poles: tuple[Complex, ...]  # of many digits, both of a conjugate pair [rad/s]
@@ -92,7 +97,10 @@ class Transfer:
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
 
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-        """Return H(j 2π f), in the shape of the frequencies; used to judge readings, not to compute them."""
+        """Return the frequency response H(j 2π f), in the shape of the frequencies.
+
+        It judges readings; they are computed from `modes`.
+        """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
         above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
         ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
@@ -100,11 +108,11 @@ class Transfer:
 
     @precise
     def delay_s(self) -> float:
-        """Return the group delay at low frequency [s]: −Σ Re(1/p) of a low-pass without zeros."""
+        """Return the delay at low frequency [s], −Σ Re(1/p) over the poles p, of a low-pass without zeros."""
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
     def modes(self) -> SensorModes:
-        """Return the partial fractions of H."""
+        """Return the partial fractions of the transfer function, whose terms are its modes."""
         return _modes(self)
 
 
@@ -123,7 +131,7 @@ def _modes(transfer: Transfer) -> SensorModes:
 
 
 def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
-    """Return the poles that are not below the real axis, each further than `_DISTINCT` from all others."""
+    """Return the poles that are not below the real axis, moved apart so that no two are closer than `_DISTINCT`."""
     upper: list[Complex] = []
     for pole in poles:
         if pole.imag < 0:
@@ -138,7 +146,7 @@ def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
 @functools.lru_cache
 @precise
 def lag(time_constant_s: float) -> Transfer:
-    """Return a first-order lag 1 / (1 + τ s)."""
+    """Return the transfer function 1 / (1 + τ s) of a first-order lag, with τ = `time_constant_s`."""
     rate = ONE / Decimal(time_constant_s)
     return Transfer((), (Complex(-rate),), rate)
 
@@ -146,14 +154,14 @@ def lag(time_constant_s: float) -> Transfer:
 @functools.lru_cache
 @precise
 def high_pass(corner_hz: float) -> Transfer:
-    """Return a first-order high-pass s / (s + ω)."""
+    """Return the transfer function s / (s + ω) of a first-order high-pass, with ω = 2π `corner_hz`."""
     return Transfer((Complex(ZERO),), (Complex(-TWO * pi() * Decimal(corner_hz)),), ONE)
 
 
 @functools.lru_cache
 @precise
 def butterworth(order: int, corner_hz: float) -> Transfer:
-    """Return a Butterworth low-pass: unit gain, −3 dB at the corner."""
+    """Return the transfer function of a Butterworth low-pass: unit gain at zero frequency, −3 dB at the corner."""
     omega = TWO * pi() * Decimal(corner_hz)
     upper = [unit(pi() * (2 * k + order + 1) / (2 * order)) for k in range(order // 2)]
     poles = [Complex(omega) * pole for one in upper for pole in (one, one.conjugate())]
@@ -165,7 +173,10 @@ def butterworth(order: int, corner_hz: float) -> Transfer:
 @functools.lru_cache
 @precise
 def resonance(frequency_hz: float, quality: float) -> Transfer:
-    """Return ω² / (s² + s ω/quality + ω²), quality > 1/2: a sensor below its mounted resonance."""
+    """Return the transfer function ω² / (s² + s ω/quality + ω²) of a sensor with a mounted resonance, quality > 1/2.
+
+    ω is 2π `frequency_hz`; far below it the gain is 1.
+    """
     omega = TWO * pi() * Decimal(frequency_hz)
     damping = omega / (TWO * Decimal(quality))
     damped = (omega * omega - damping * damping).sqrt()
@@ -175,7 +186,7 @@ def resonance(frequency_hz: float, quality: float) -> Transfer:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Sensor:
-    """One sensor with its conditioning, up to the volts at the converter's input."""
+    """Model of one sensor with its conditioning, up to the volts at the converter's input."""
 
     name: str  # name of the channel
     quantity: str  # quantity of the motion that it senses
@@ -199,34 +210,34 @@ class Sensor:
 
     @property
     def transfer(self) -> Transfer:
-        """The complete transfer function."""
+        """Transfer function of all dynamics, low-pass and high-pass, without the sensitivity."""
         return self.low_pass * high_pass(self.high_pass_hz) if self.high_pass_hz else self.low_pass
 
     @property
     def half_range(self) -> float:
-        """Half of the measuring range [unit]."""
+        """Half of the sensor's measuring range [unit]."""
         return 0.5 * (self.high - self.low)
 
     @property
     def middle(self) -> float:
-        """Middle of the measuring range [unit]."""
+        """Middle of the sensor's measuring range [unit]."""
         return 0.5 * (self.high + self.low)
 
     def converter_range(self) -> tuple[float, float]:
-        """Return the converter's input range in the sensor's unit: (low, high)."""
+        """Return the range (low, high) in which the converter does not clip [unit of the sensor]."""
         ends = [(volt - self.offset_v) / self.volt_per_unit for volt in (-self.adc_range_v, self.adc_range_v)]
         return min(ends), max(ends)
 
     def measuring_range(self) -> tuple[float, float]:
-        """Return the range in which neither sensor nor converter clips: (low, high) [unit]."""
+        """Return the range (low, high) in which neither sensor nor converter clips [unit of the sensor]."""
         low, high = self.converter_range()
         return max(low, self.low), min(high, self.high)
 
     def behind(self, adc: Adc) -> Sensor:
-        """Return the sensor with the board's anti-alias filter in its dynamics, if the board has one.
+        """Return the sensor together with the board's anti-alias filter, if the board has one.
 
-        Linearity, resolution and end of range are applied after the dynamics, so after the filter. The noise keeps
-        its density and its single pole, at the lower of the two corners.
+        Linearity, resolution and end of range are applied after the dynamics, so after the filter. The noise keeps its
+        density and its single pole, at the lower of the two corners.
         """
         if adc.anti_alias == "none":
             return self

@@ -20,8 +20,8 @@ modes is chosen when this module is imported:
     jit       Numba compiles each function at its first call: chosen at installation, or while a kernel is edited
     plain     the functions themselves: the same bits, about a thousand times slower
 
-`IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. See docs/explanation/kernels.md.
-`records` are arrays whose elements have named fields in all three modes.
+The environment variable `IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. See
+docs/explanation/kernels.md. `records` are arrays whose elements have named fields in all three modes.
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ PACKAGE = Path(__file__).parents[1]
 VARIABLE = "IMPACT_RIG_KERNELS"
 MODES = ("library", "jit", "plain")
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-"""Numba's options for every kernel."""
+"""Numba's options for compiling every kernel: no interpreter lock while it runs, and no error from a division by zero.
+"""
 
 
 class Array(NamedTuple):
-    """The type of an array in C order.
+    """Declared type of an argument of a kernel: an array in C order.
 
     Attributes:
         dtype: type of its elements.
@@ -61,7 +62,7 @@ class Array(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """The type of a NamedTuple.
+    """Declared type of an argument of a kernel: a NamedTuple.
 
     Attributes:
         of: class of the tuple.
@@ -73,7 +74,7 @@ class Fields(NamedTuple):
 
 
 class RecordType(NamedTuple):
-    """The type of one record, passed by address: for functions that only kernels call.
+    """Declared type of an argument of a function that only kernels call: one record, passed by its address.
 
     Attributes:
         dtype: type of the record.
@@ -83,7 +84,7 @@ class RecordType(NamedTuple):
 
 
 class Function(NamedTuple):
-    """The type of a compiled function that is passed as a `Pointer`.
+    """Declared type of an argument of a kernel: a compiled function, passed as a `Pointer`.
 
     Attributes:
         arguments: types of its arguments.
@@ -95,12 +96,12 @@ class Function(NamedTuple):
 
 
 class Pointer(NamedTuple):
-    """A compiled function in the form in which kernels accept it.
+    """Compiled function in the form in which kernels accept it as an argument.
 
     Attributes:
-        address: its address.
-        function: the same function for Python.
-        kept: objects that must live as long as the address is used.
+        address: address of the compiled code.
+        function: the same function in Python.
+        kept: object that must live as long as the address is used, such as the one that owns the code.
     """
 
     address: int
@@ -108,17 +109,17 @@ class Pointer(NamedTuple):
     kept: Any = None
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the function as Python."""
+        """Call the function in Python instead of the compiled code, with the same result."""
         return self.function(*arguments)
 
 
 class Entry(NamedTuple):
-    """A function that Python calls.
+    """Compiled function that Python calls, as `entry` declares it.
 
     Attributes:
         function: the function in Python.
-        arguments: type of each: int, float, bool, an Array, a record type for an array of such records, Fields, or a
-            Function.
+        arguments: type of each argument: int, float, bool, an Array, a record type for an array of such records,
+            Fields, or a Function.
         returns: int, bool, a tuple of these, or None.
     """
 
@@ -128,11 +129,11 @@ class Entry(NamedTuple):
 
 
 class Exported(NamedTuple):
-    """A function that is passed to kernels as a `Pointer`.
+    """Function that the library exports so that it can be passed to kernels as a `Pointer`.
 
     Attributes:
         function: the function in Python.
-        type: type of the function that `around` returns.
+        type: type of the function that `around` returns; this one is exported.
         around: wrapper that returns a function of that type, which calls the given one.
     """
 
@@ -155,22 +156,23 @@ Records: TypeAlias = Any  # an array of them
 
 
 entries: dict[str, Entry] = {}
-"""All imported entries, by `module.name`."""
+"""All functions marked with `entry` in the modules imported so far, by `module.name`."""
 exported: dict[str, Exported] = {}
-"""All functions declared for passing to kernels, by their exported name."""
+"""All functions that the library exports for passing to kernels, from the modules imported so far, by exported name."""
 kernels: list[Callable[..., Any]] = []
-"""All compiled functions, in Python."""
+"""All functions marked with `kernel` or `entry` in the modules imported so far, in Python."""
 
 
 def digest(path: Path) -> str:
-    """Return a digest of a file's content."""
+    """Return the SHA-256 digest of a file's content, by which a changed source is detected."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def is_cut_off(path: Path) -> bool:
     """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
 
-    The system's loader does not check this: the process would be ended by a signal.
+    A library that was copied in part is not loaded, because the system's loader does not check this: a signal would end
+    the process.
     """
     with path.open("rb") as file:
         head = file.read(64)
@@ -182,7 +184,10 @@ def is_cut_off(path: Path) -> bool:
 
 
 def library() -> ModuleType | None:
-    """Return the shared library if it can be loaded and was built from the present sources; otherwise warn."""
+    """Return the library of kernels if it exists, can be loaded and was built from the present sources; otherwise None.
+
+    If it exists but cannot be used, a line on stderr tells why.
+    """
     spec = importlib.util.find_spec(f"{__name__}._library")
     if spec is None:
         return None
@@ -228,13 +233,16 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def kernel(function: FunctionT) -> FunctionT:
-    """Mark a function that compiled functions call."""
+    """Mark a function that compiled functions call; return it, compiled at its first call in mode `jit`."""
     kernels.append(function)
     return _compiled(function)
 
 
 def entry(*arguments: Any, returns: Any = None) -> Callable[[FunctionT], FunctionT]:
-    """Mark a function that Python calls with arguments of these types; see `Entry`."""
+    """Mark a function that Python calls with arguments of these types; see `Entry`.
+
+    In mode `library` the name then stands for the compiled function in the library.
+    """
 
     def mark(function: FunctionT) -> FunctionT:
         name = f"{function.__module__.removeprefix('impact_rig.')}.{function.__name__}"
@@ -259,12 +267,15 @@ def _compiled(function: FunctionT) -> FunctionT:
 
 
 def address(name: str) -> int:
-    """Return the address of an exported function of the library, 0 if there is no such function."""
+    """Return the address of a function that the library exports, 0 if there is no such function or no library."""
     return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
 
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
-    """Return how arguments are unpacked: one letter per piece (see library.c), and the types of their arrays."""
+    """Return how the library unpacks arguments of these types: a letter per piece, and the dtypes of the arrays.
+
+    library.c explains the letters.
+    """
     letters: list[str] = []
     dtypes: list[np.dtype[Any]] = []
     for one in arguments:
@@ -284,14 +295,14 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
 
 
 def codes(kind: Any) -> str:
-    """Return the letters of the numbers in a result, see `plan`; empty for None."""
+    """Return the letters that stand for numbers of these types in a plan, see library.c; empty for None."""
     if kind is None:
         return ""
     return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
 
 
 def records(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return `count` records of zeros; `records[i].field` reads and writes in place.
+    """Return `count` records of zeros for kernels; `records[i].field` reads and writes in place.
 
     Plain Python needs a recarray for that. Compiled code accepts an ordinary array as well, which is passed in a third
     of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
@@ -301,19 +312,20 @@ def records(count: int, kind: np.dtype[np.void]) -> Any:
 
 
 def room(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return `count` records that will be written before they are read; they are not cleared."""
+    """Return `count` records for kernels that will be written before they are read; they are not cleared."""
     return for_kernels(np.empty(count, kind))
 
 
 def for_kernels(rows: NDArray[np.void]) -> Any:
-    """Return rows for kernels: unchanged, or with named fields if kernels run as plain Python."""
+    """Return rows for kernels: unchanged, or with fields as attributes if kernels run as plain Python."""
     return with_fields(rows) if MODE == "plain" else rows
 
 
 def with_fields(rows: NDArray[np.void]) -> Any:
-    """Return a recarray of the same memory whose elements, in plain Python, access their fields by descriptors.
+    """Return a recarray of the same memory, whose elements have their fields as attributes.
 
-    NumPy's own record takes twenty times as long per field, which is nearly all the time of an interpreted kernel.
+    In plain Python the elements use descriptors for that. NumPy's own record takes twenty times as long per field,
+    which is nearly all the time of an interpreted kernel.
     """
     found = rows.view(np.recarray)
     if MODE == "plain":
@@ -323,7 +335,7 @@ def with_fields(rows: NDArray[np.void]) -> Any:
 
 @functools.cache
 def _record(kind: np.dtype[np.void]) -> type[np.record]:
-    """Return the class of a record type's elements."""
+    """Return the class of a record type's elements in plain Python, with a property for each field."""
 
     def field(name: str) -> property:
         assert kind.fields is not None

@@ -18,8 +18,8 @@
     impact_rig.h       their declarations
 
 Files that exist and are up to date are kept, or copied to the folder. `--machine aarch64` builds for another machine,
-with the compiler in CC. `--keep DIR` keeps the translated kernels, which serve every machine. A release contains the
-kernels as assembly, which needs no translation.
+with the compiler that the environment variable CC names. `--keep DIR` keeps the translated kernels, which serve every
+machine. A release contains the kernels as assembly, which needs no translation.
 
 Numba translates each entry, and the functions it calls, to LLVM code once, for the baseline CPU of this kind of machine
 (the arithmetic is portable, so the bits are the same). Each of two processes makes one module of its part, which LLVM
@@ -53,7 +53,7 @@ from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
 ASSEMBLY = FOLDER / "assembly"
-"""Kernels in a released source distribution: assembly for each machine of RELEASED."""
+"""Folder with the kernels as assembly for each machine of RELEASED; only a released source distribution has it."""
 RELEASED = ("x86_64", "aarch64")
 STAMP = "sources.json"
 OUTPUT, HEADER, OBJECT = "_library.abi3.so", "impact_rig.h", "impact_rig.o"
@@ -62,11 +62,13 @@ PARTS = {
     "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.monitors", "rig.truth"),
     "instruments": ("instruments.chain", "analysis.tracker", "codec"),
 }
-"""Parts that are translated in parallel: modules whose import declares the entries."""
+"""Parts of the kernels, which are translated in parallel: for each, the modules whose import declares its entries."""
 CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}
-"""LLVM's name of the baseline CPU, by machine; for the name of a wrong CPU, LLVM emits soft-float calls."""
+"""LLVM's name of the oldest CPU that kernels must run on, by machine. For the name of a wrong CPU, LLVM emits calls of
+functions that compute in software.
+"""
 NUMBA = "0.68.1"
-"""Version of Numba; other versions may lack the internal parts that the build uses."""
+"""Version of Numba that translates the kernels; other versions may lack the internal parts that the build uses."""
 TELL_S = 5.0
 WITHOUT = f"or set {VARIABLE}=jit (compiled by Numba at each first start) or =plain (very slow) to do without them"
 
@@ -77,7 +79,7 @@ def this_machine() -> str:
 
 
 def cpu(machine: str) -> str:
-    """Return the CPU for which code is made on a machine, named as by `platform.machine`.
+    """Return LLVM's name of the CPU for which code is made on a machine, named as by `platform.machine`.
 
     Raises:
         SystemExit: kernels are not supported on such a machine.
@@ -89,7 +91,7 @@ def cpu(machine: str) -> str:
 
 
 def sources() -> list[Path]:
-    """Return the files that determine the library: kernels, their imports, and the rest of the build."""
+    """Return the files that determine the library: modules with kernels, what these import, and build files."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -102,31 +104,34 @@ def sources() -> list[Path]:
 
 
 def stamps() -> dict[str, str]:
-    """Return the digest of each source, by its path in the package."""
+    """Return the digest of each source file of the kernels, by its path in the package."""
     return {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
 
 
 def symbol(name: str) -> str:
     """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
 
-    An exported function has no suffix `_slots`: it takes its arguments directly.
+    The suffix says that the arguments are passed as slots. An exported force function has none: it takes its arguments
+    directly.
     """
     plain = f"ir_{name.replace('.', '_')}"
     return plain if name.startswith("force.") else f"{plain}_slots"
 
 
 def is_built() -> bool:
-    """Return whether all files exist and were built from these sources."""
+    """Return whether library, object file and header exist and the library was built from these sources."""
     return all((FOLDER / name).exists() for name in (HEADER, OBJECT)) and library() is not None
 
 
 def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) -> None:
-    """Build everything into a folder, by default next to the sources, and print the progress.
+    """Build library, object file and header of the kernels into a folder, by default next to the sources.
+
+    The progress is printed.
 
     Args:
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
-        keep: folder for the translated kernels.
+        keep: folder that holds the translated kernels or gets them, for other machines; default: a temporary one.
 
     Raises:
         SystemExit: C compiler or translation failed, or is missing: there is neither assembly nor the right Numba.
@@ -182,7 +187,10 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 
 
 def write_assembly(keep: Path, folder: Path) -> None:
-    """Write the kernels as assembly into a new folder, from which any system's compiler builds them."""
+    """Write the kernels as assembly into a new folder, from which a C compiler builds them without Numba.
+
+    `keep` is the folder that holds the translated kernels or gets them.
+    """
     found = translated(keep)
     folder.mkdir()
     for part in PARTS:
@@ -194,7 +202,10 @@ def write_assembly(keep: Path, folder: Path) -> None:
 
 
 def _prototype(name: str) -> str:
-    """Return the declaration of a kernel in C; WebAssembly requires the exact types."""
+    """Return the declaration in C of the function that the library exports under this name of a kernel.
+
+    WebAssembly requires the exact types of each function.
+    """
     if name.endswith(".at_point"):
         return f"void *{symbol(name)}(void *, double, double, double, double, void *)"
     if name.endswith(".at_stages"):
@@ -203,12 +214,15 @@ def _prototype(name: str) -> str:
 
 
 def write_header(found: Path, path: Path) -> None:
-    """Write the header of translated kernels."""
+    """Write the C header of the translated kernels in the folder `found` to `path`."""
     path.write_text(whole((found / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
 
 
 def write_tables(found: Path, work: Path) -> list[str]:
-    """Write `tables.c`, the tables of translated kernels for kernels.c and library.c; return the kernels' names."""
+    """Write `tables.c` into `work`, the addresses by name that kernels.c and library.c need; return the kernels' names.
+
+    `found` is the folder with the translated kernels. The file also holds version and digests of the sources.
+    """
     names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
     declared = "\n".join(f"extern {_prototype(name)};" for name in names)
     rows = "\n".join(f'    {{"{name}", (void *){symbol(name)}}},' for name in names)
@@ -255,7 +269,7 @@ def _check_numba() -> None:
 
 
 def _translate_all(work: Path) -> None:
-    """Translate all parts in parallel and print the progress.
+    """Translate all parts of the kernels into `work`, in parallel processes, and print the progress.
 
     Raises:
         SystemExit: a part failed; its own messages are on stderr.
@@ -285,7 +299,7 @@ def _read(path: Path) -> str:
 
 
 def _compile(arguments: list[str]) -> None:
-    """Call the C compiler.
+    """Call the C compiler, `cc` or the one that CC names, with the options of every build and `arguments`.
 
     Raises:
         SystemExit: there is no compiler, or it fails.
@@ -301,7 +315,7 @@ def _compile(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Build the kernels of these sources in a folder, or copy existing ones."""
+    """Build the kernels of these sources in a folder, or copy existing ones: the command of this module."""
     parser = argparse.ArgumentParser(description="Build the kernels.")
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="destination (default: the package)")
     parser.add_argument("--machine", default=this_machine(), help="machine to build for (default: this one)")

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Machine code for a target, made from the linked code of the kernels that `translate` writes.
+"""Emission of machine code for a target, from the linked code of the kernels that `translate` writes.
 
-The arithmetic is portable: no target may contract a product and a sum. None does, because Numba marks nothing as fast
-and each target is the baseline CPU of its kind.
+The arithmetic is portable: no target may contract a product and a sum to one rounding. None does, because Numba marks
+nothing as fast and each target is the baseline CPU of its kind.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ OPTIMISATION = 3
 
 
 class Target(NamedTuple):
-    """Target for which LLVM emits code."""
+    """Target for which LLVM emits code, in LLVM's terms."""
 
     triple: str
     cpu: str
@@ -42,7 +42,7 @@ class Target(NamedTuple):
 
 
 def target(machine: str) -> Target:
-    """Return the target of a machine, named as by `platform.machine`, or of `wasm32`."""
+    """Return the target for a machine, named as by `platform.machine`, or for `wasm32` (WebAssembly)."""
     if machine == WASM:
         return Target("wasm32-unknown-unknown", "mvp", WASM_FEATURES, "static")
     system = "apple-macosx11.0" if sys.platform == "darwin" or machine == "arm64" else "unknown-linux-gnu"
@@ -50,7 +50,10 @@ def target(machine: str) -> Target:
 
 
 def emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
-    """Optimise linked code for a machine and return its object file and assembly."""
+    """Optimise linked code for a machine and return its object file and its assembly.
+
+    `bitcode` is the file of one part that `translate` has written.
+    """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     found = target(machine)

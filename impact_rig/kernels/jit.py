@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Compilation of kernels by Numba at their first call, and the Numba types of declared types."""
+"""Compilation of kernels by Numba at their first call, and Numba's types for the declared types."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ types: Any = _types  # typed in parts
 
 
 def numba_type(kind: Any) -> Any:
-    """Return Numba's type of a declared type."""
+    """Return Numba's type for a declared type: Array, Fields, a record type, int and so on."""
     if isinstance(kind, Fields):
         return types.NamedTuple(tuple(map(numba_type, kind.types)), kind.of)
     if isinstance(kind, Function):
@@ -49,23 +49,23 @@ def numba_type(kind: Any) -> Any:
 
 
 def signature(kind: Function) -> Any:
-    """Return Numba's signature of a declared function type."""
+    """Return Numba's signature for a declared function type."""
     return numba_type(kind.returns)(*map(numba_type, kind.arguments))
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a function that is compiled at its first call."""
+    """Return a version of the function that Numba compiles at its first call."""
     kept = Path(function.__code__.co_filename).is_file()  # code that was typed in has no file for the cache
     return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
-    """Return a function compiled for one signature, which has an `address`."""
+    """Return the function compiled for one signature, with the `address` that kernels call."""
     return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 
 def _kept(compile_: Callable[[], Any]) -> Any:
-    """Compile with a cache for these sources alone: Numba's own cache misses changes of called functions."""
+    """Call `compile_` with a cache for these sources alone: Numba's own cache misses changes of called functions."""
     before, config.CACHE_DIR = config.CACHE_DIR, _directory()
     try:
         return compile_()

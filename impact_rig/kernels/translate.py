@@ -42,33 +42,33 @@ from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import numba_type
 
 INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Numba's options for functions that only kernels call; nothing allocates, so nothing is counted."""
+"""Numba's options for functions that only kernels call; nothing is allocated in them, so no references are counted."""
 NOTHING = -2
-"""Return value of a Numba function that returned None."""
+"""Status with which a function compiled by Numba reports that it returned None."""
 WORD, STATUS = ir.IntType(64), ir.IntType(32)
 
 
 class Library(AOTCodeLibrary):  # type: ignore[misc]  # Numba is untyped
-    """Numba's container of one function, which is not optimised until everything is linked."""
+    """Numba's container for the code of one function, which is not optimised until everything is linked."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         pass
 
     def finalize(self) -> None:
-        """Mark the library as complete without linking the functions it calls; that is done once, for all."""
+        """Mark the container as complete without linking the functions it calls: `_linked` does that once, for all."""
         self._finalized = True
 
 
 class Context(cpu.CPUContext):  # type: ignore[misc]
-    """Numba's target without loading anything into this process."""
+    """Numba's compilation target without loading any compiled code into this process."""
 
     def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
-        """Return a unique object, by which Numba finds a callee's code."""
+        """Return a unique object instead of an executable function: Numba finds a callee's code by it."""
         return [].append
 
 
 def main() -> None:
-    """Translate the part that the first argument names into the folder of the second."""
+    """Translate the part of the kernels that the first command-line argument names into the folder of the second."""
     part, work = sys.argv[1], Path(sys.argv[2])
     for module in PARTS[part]:
         importlib.import_module(f"impact_rig.{module}")
@@ -92,12 +92,12 @@ def main() -> None:
 
 
 def part_of(name: str) -> str:
-    """Return the part in which an entry is translated."""
+    """Return the part of the kernels in which an entry is translated, by its name: mechanics or instruments."""
     return "mechanics" if name.startswith(("physics.", "arithmetic.", "rig.")) else "instruments"
 
 
 def _let_numba_see_kernels() -> None:
-    """Replace every kernel, in all modules that have imported it, by a function that Numba can call."""
+    """Replace every kernel, in all modules that have imported it, by a function that Numba can compile calls of."""
     seen = {function: njit(**INSIDE)(function) for function in declared.kernels}
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in list(vars(module).items()):
@@ -107,7 +107,10 @@ def _let_numba_see_kernels() -> None:
 
 
 def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
-    """Translate a function under its exported name and return the library with it and the functions it calls."""
+    """Translate an entry or exported function under its name in C and return the container of its code.
+
+    The container also refers to those of the functions that it calls.
+    """
     flags = compiler.Flags()
     flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
     flags.nrt, flags.error_model, flags.release_gil = False, str(OPTIONS["error_model"]), True
@@ -131,7 +134,10 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
 
 
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define the function `name`, which calls another with arguments from slots and stores its result."""
+    """Define in `module` the C function `name`, which takes the arguments of a kernel from slots and stores its result.
+
+    `described` is Numba's description of the compiled kernel. The function returns 0, or the status of a failure.
+    """
     words = WORD.as_pointer()
     around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
     kind = context.call_conv.get_function_type(described.restype, described.argtypes)
@@ -161,7 +167,10 @@ def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define `name` as the function with the C calling convention that Numba made around another."""
+    """Define in `module` the C function `name`, which calls the one with C arguments that Numba made around a function.
+
+    `described` is Numba's description of that function.
+    """
     kinds = [context.get_value_type(one) for one in described.argtypes]
     kind = ir.FunctionType(context.get_value_type(described.restype), kinds)
     inner = ir.Function(module, kind, described.llvm_cfunc_wrapper_name)
@@ -172,7 +181,7 @@ def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _collect(library: Any, found: dict[int, Any]) -> None:
-    """Add a library and all libraries that it needs."""
+    """Add a container of code and all those that it refers to, directly or not, to `found`."""
     if id(library) not in found:
         found[id(library)] = library
         for one in library._linking_libraries:
@@ -180,7 +189,7 @@ def _collect(library: Any, found: dict[int, Any]) -> None:
 
 
 def _linked(libraries: Any, exported: set[str]) -> Any:
-    """Link all code into one module in which only the exported names are visible from outside."""
+    """Link all code into one module of LLVM, in which only the exported names are visible from outside."""
     together = llvm.parse_assembly("")
     for library in libraries:
         for function in library._final_module.functions:

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The rig's mechanics: flights in closed form, and contacts integrated in a variable in which the force has no kinks.
+"""Mechanics of the simulated rig: flights of the sphere in closed form, and its contacts with the walls by integration.
 
-This package never imports rclpy. `FunctionGenerator` makes drive segments, `Simulation` advances by them and returns a
-`Motion`, and the instruments evaluate that motion.
+A flight is the motion between contacts. A contact is integrated in w, the square root of the indentation, in which the
+force has no kinks. `FunctionGenerator` turns commands into drive segments, `Simulation` advances by these segments and
+returns a `Motion`, and the instruments evaluate that motion. This package never imports rclpy.
 """
 
 from typing import TYPE_CHECKING

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Radau IIA collocation with five stages, order 9, and Gauss–Legendre quadrature with eight points.
+"""Coefficients of Radau IIA collocation with five stages (order 9) and of Gauss–Legendre quadrature with eight points.
 
-Stage i of a step of length h lies at c_i h; with slopes f_j at the stages, y_i = y_0 + h Σ_j A_ij f_j, and the step
-ends at the last stage. Source: Hairer & Wanner (1996), Solving Ordinary Differential Equations II, section IV.5.
+Radau IIA integrates the contacts (`contact_step`), Gauss–Legendre the energies (`energy`). Stage i of a step of length
+h lies at c_i h (STAGE_AT). With slopes f_j at the stages, y_i = y_0 + h Σ_j A_ij f_j (A is MATRIX), and the last stage
+is the end of the step. Source: Hairer & Wanner (1996), Solving Ordinary Differential Equations II, section IV.5.
 
 The numbers are written out because a root finder may end in another last bit on another machine. test_collocation.py
 recomputes them to 40 digits.
@@ -45,9 +46,11 @@ INVERSE = np.array(
         [8.41242422359429, -6.970256116656661, 8.777114204150473, -18.2192823110881, 13.0],
     ]
 )
-"""Inverse of MATRIX."""
+"""Inverse of MATRIX, which Newton's method for the stages of a step needs."""
 TO_START = np.array([1.5864079001863283, -1.008117881498373, 0.7309748661597875, -0.5092648848477427, 0.2])
-"""Weights that extrapolate the stages' values to the start of the step."""
+"""Weights whose sum over the values of a quantity at the five stages extrapolates that quantity to the start of the
+step.
+"""
 TO_POLYNOMIAL = np.array(
     [
         [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -58,9 +61,14 @@ TO_POLYNOMIAL = np.array(
         [-126.0, 199.88739542347736, -127.022853068795, 92.10283313613321, -64.16737549081559, 25.2],
     ]
 )
-"""Matrix from the values at the start and the stages to the coefficients of their polynomial, lowest first."""
+"""Matrix from six values of a quantity, at the start and at the five stages of a step, to the six coefficients of the
+polynomial through them. Its variable is 0 at the start and 1 at the end of the step; the constant coefficient comes
+first.
+"""
 REAL_EIGENVALUE = 0.15906584442746913
-"""Real eigenvalue of MATRIX: the weight in the filter of the error estimate."""
+"""Real eigenvalue of MATRIX. The error estimate of a step is filtered with it, so that motion which decays within the
+step hardly counts.
+"""
 
 POINTS = 8
 GAUSS_NODES = np.array(

@@ -11,15 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""A contact from touch to separation: steps of the indentation, each ended exactly at the first event in it.
+"""Integration of a contact from touch to separation in steps, each of which ends exactly at the first event in it.
 
 δ is the indentation, w = √δ, and a step has a length in χ, with dt = w dχ (see `contact_step`, which solves the step):
 
     dw/dχ = δ'/2,    dt/dχ = w,    dδ'/dχ = w δ'',    F: the law's force, elastic and lossy part together
 
-The state y holds the centre of mass of structure and sphere, x_1* = x_1 + side σ δ. The functions share some argument
-names: p are the parameters, law is the contact law's force, f the drive, s the state, and step the step with its
-stages. A slope is a derivative by χ. The `excess` of an event is how far a point is beyond it, in units of its scale.
+In a contact the state y holds the centre of mass of superior base and sphere, x_1* = x_1 + side σ δ. `side` is −1 for
+the left and 1 for the right wall, σ the sphere's part of both masses. The functions share some argument names: p are
+the parameters, law is the contact law's force, f the drive, s the state, and step the step with its stages. A slope is
+a derivative by χ. The `excess` of an event is how far a point is beyond it, in units of its scale.
 
 The error estimate determines where a step ends, unless one of these events comes first:
 
@@ -83,7 +84,10 @@ _PART_OF_FALL, _RADIANS = 0.4, 8.0  # see `_limit_length`
 def _force_and_slope(
     p: Record, law: CompiledForce, s: Record, step: Record, point: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Return the force at a point (w, δ', dδ'/dχ) of the step, and its derivative along the motion, dF/dχ."""
+    """Return the contact force F [N] at a point (w, δ', dδ'/dχ) of a step, and its derivative along the motion, dF/dχ.
+
+    w is the square root of the indentation δ, and χ the variable of integration, dt = w dχ.
+    """
     w, speed, slope = point
     elastic, lossy, _, by_w, by_speed = force_at(p, law, s.per_v0, step.turned_at, w, speed, step)
     return elastic + lossy, 0.5 * by_w * speed + by_speed * slope
@@ -93,10 +97,10 @@ def _force_and_slope(
 def _excess(
     p: Record, law: CompiledForce, s: Record, step: Record, event: int, at: tuple[float, float, float]
 ) -> float:
-    """Return how far a point of the step is beyond an event, in units of the event's scale; at most 0 before the event.
+    """Return how far a point of a contact's step is beyond an event, in units of the event; at most 0 before it.
 
-    The point is `at` = (time since the start of the step, w, δ'). If `step.time_left` is infinite, PAUSED has the
-    excess NaN, which never counts as beyond.
+    The point is `at` = (time since the start of the step [s], w, δ'), with w the square root of the indentation δ. If
+    `step.time_left` is infinite, PAUSED has the excess NaN, which never counts as beyond.
     """
     since, w, speed = at
     if event == SEPARATED:
@@ -115,7 +119,10 @@ def _excess(
 
 @kernel
 def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
-    """Return the derivative of `_excess` at the end of the step with respect to its length in χ."""
+    """Return the derivative of `_excess`, at the end of the solved step, by the length of the step in χ.
+
+    Newton's method in `_end_at` needs it.
+    """
     w, speed = step.w[LAST], step.speed[LAST]
     if event == SEPARATED:
         return -0.5 * speed / max(s.w, s.deepest_w, _SMALLEST)
@@ -131,7 +138,11 @@ def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event:
 
 @kernel
 def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
-    """Return the length of a step up to an event that it passed, by the Illinois method on the step's dense output."""
+    """Return the estimated length in χ at which a solved step, which ends beyond an event, would end at that event.
+
+    It is the root of `_excess` on the step's dense output, the polynomial through its stages, found by the Illinois
+    method.
+    """
     low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
     excess_high = _excess(p, law, s, step, event, dense_output(s, step, high))
@@ -154,7 +165,11 @@ def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Reco
 
 @kernel
 def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> bool:
-    """Solve the step again until it ends at the event, with its length in `s.h`; return whether that succeeded."""
+    """Solve the step again with other lengths until it ends at the event; return whether that succeeded.
+
+    The length is searched between 0 and `s.h` and left in `s.h` [s/m^0.5]. The search fails if a step of some length
+    has no solution.
+    """
     low, high = 0.0, s.h
     s.h = _length_by_dense_output(p, law, s, step, event)
     for _ in range(_ATTEMPTS):
@@ -180,11 +195,12 @@ def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) 
 
 @kernel
 def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """End the step solved last at the first event that it passed; return that event, NOTHING or FAILED.
+    """Shorten the step solved last to the first event that it passed; return that event, NOTHING or FAILED.
 
-    A step that ends at an event must be as exact as any other step, and must touch the wall all the way. Near the end
-    of a contact, and where the acceleration jumps, the equations of a long step have a second, false solution. In it
-    the indentation and the time collapse at once, or pass through zero and return.
+    After FAILED the caller tries a shorter step. A step that ends at an event must be as exact as any other step, and
+    must touch the wall all the way. Near the end of a contact, and where the acceleration jumps, the equations of a
+    long step have a second, false solution: the indentation and the time collapse at once, or pass through zero and
+    return.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -205,10 +221,10 @@ def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 def _limit_length(s: Record, step: Record) -> float:
     """Return the proposed length of a step, reduced to where its polynomials are valid and to a safe part of the way.
 
-    While the sphere rests on the wall, δ falls as the two-thirds power of the time left to the lift-off. The lift-off
-    is estimated as the zero of a_r. Polynomials follow that fall over a part of this time only, and an error that a
-    longer step makes in the slow motion rings through all later steps. A step need not be shorter than some radians of
-    the contact's own vibration.
+    While the sphere rests on the wall, the indentation falls as the two-thirds power of the time left to the lift-off.
+    The lift-off is estimated as the zero of a_r, the acceleration that presses sphere and wall together. Polynomials
+    follow that fall over a part of this time only, and an error that a longer step makes in the slow motion rings
+    through all later steps. A step need not be shorter than some radians of the contact's own vibration.
     """
     if not s.w > 0.0:
         return s.next_h
@@ -224,10 +240,11 @@ def _limit_length(s: Record, step: Record) -> float:
 
 @kernel
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Solve the next step, its length in `s.h`, propose the next length in `s.next_h`, and return the event at its end.
+    """Solve the next step of a contact and return the event at its end, NOTHING, or FAILED if no length has a solution.
 
-    `conclude` moves the state; this function leaves it in place. `step` must have been expanded about s, and must hold
-    the `time_left` of the segment.
+    `s.h` becomes the length of the solved step in χ, `s.next_h` the proposed length of the step after it. The rest of
+    the state stays in place until `conclude` moves it. `step` must have been expanded about s, and must hold the
+    `time_left` to the end of the drive segment [s].
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -252,7 +269,10 @@ def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 
 @kernel
 def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end: float) -> int:
-    """Solve the first or the next step of the contact at s and return the event it ends at; `conclude` then moves s."""
+    """Prepare and solve the next step of the contact in the state s; return the event at its end, NOTHING or FAILED.
+
+    `t_end` is the end of the drive segment, since its start [s]. The state stays in place until `conclude` moves it.
+    """
     p = model.parameters[0]
     expand(p, f, s, step)
     if s.next_h == 0.0:
@@ -263,7 +283,10 @@ def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end
 
 @kernel
 def dissipated(step: Record, h: float) -> float:
-    """Return the energy that the contact loses during the step [J], by the quadrature of the collocation method."""
+    """Return the energy [J] that the contact loses during the solved step, by the collocation's quadrature.
+
+    `h` is the length of the step in χ.
+    """
     lost = 0.0
     for i in range(STAGES):
         lost += h * MATRIX[LAST, i] * step.w[i] * step.lossy[i] * step.speed[i]
@@ -272,7 +295,10 @@ def dissipated(step: Record, h: float) -> float:
 
 @kernel
 def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force: bool) -> float:
-    """Compute where the step's polynomial of the force or the indentation has its maximum, as a part of the step."""
+    """Return the place of the largest force, or else of the largest indentation, in the solved step: a part 0 … 1.
+
+    It is found by bisection of the slope of the step's dense output, the polynomial through its stages.
+    """
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
         middle = 0.5 * (low + high)
@@ -288,11 +314,11 @@ def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force:
 
 @kernel
 def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Raise `s.peak_force` [N] and `s.deepest_w` to the largest values in the step, also between its stages.
+    """Raise `s.peak_force` [N] and `s.deepest_w` [m^0.5] to the largest values in the step, also between its stages.
 
     For a maximum between stages, a step is solved that ends where the polynomial predicts it; the remaining error is of
-    second order. If all stages are well below an earlier peak, so is the step. The steps of a law with a memory end at
-    their deepest point.
+    second order. If all stages are well below an earlier peak, so is the step, and nothing is solved. The steps of a
+    law with a memory end at their deepest point.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
@@ -323,10 +349,10 @@ def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
 @kernel
 def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
-    """Add the work of the drive and the losses outside the contact during the step.
+    """Add the drive's work and the losses in columns and shaker during a contact's step to `ledger` [J].
 
-    The first part is that of the pair without indentation, which is smooth in time. The second is the difference that
-    the indentation makes, which is known at the stages only.
+    The first part integrates the motion without indentation, which is smooth in time. The second adds the difference
+    that the indentation makes, which is known at the stages only.
     """
     half = 0.5 * step.since[LAST]
     for point in range(POINTS):
@@ -345,7 +371,11 @@ def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Re
 
 @kernel
 def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> None:
-    """Move the state to the end of the step; update elapsed time, impulse on the sphere and largest indentation."""
+    """Move the state s to the end of its solved step; update the contact's duration, impulse and largest indentation.
+
+    `ended` is the event at the end of the step. `t_end` is the end of the drive segment [s], which s.t is set to after
+    PAUSED.
+    """
     since, w, speed = step.since[LAST], max(step.w[LAST], 0.0), step.speed[LAST]
     v_2_before = s.y[V1] + s.side * (1.0 - p.share) * s.speed
     pair_at(step, since, s.y)
@@ -363,11 +393,11 @@ def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> No
 
 @kernel
 def settles(p: Record, law: CompiledForce, s: Record, step: Record) -> bool:
-    """Return whether a contact with memory has decayed to ringing about its rest position, slower than `speed_floor`.
+    """Return whether a contact at a turning point only rings about its rest position, slower than `speed_floor`.
 
-    At a turning point the ringing has the speed amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. Up
-    to three times the pressing acceleration, a hop is as short as a period of the ringing, so it counts as ringing and
-    not as flight.
+    Only contacts of a law with a memory are asked; if true, the sphere then moves with the superior base as one body.
+    The ringing has the speed amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. Up to three times the
+    pressing acceleration, a hop is as short as a period of the ringing, so it counts as ringing and not as flight.
     """
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, turned_at(s), s.w, s.speed, step)
     pressing = step.acceleration[0]  # a_r at the start of the step, which hardly changes within one
@@ -379,12 +409,19 @@ def settles(p: Record, law: CompiledForce, s: Record, step: Record) -> bool:
 
 @kernel
 def t_0_of(p: Record, speed: float) -> float:
-    """Return t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)) [s], the time scale of a contact with F ~ K δ^b."""
+    """Return the time scale t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)) [s] of a contact with F ~ K δ^b.
+
+    `speed` is the approach speed v0 [m/s].
+    """
     return p.time_scale * power(speed, p.time_power)
 
 
 @kernel
 def first_length(p: Record, speed: float, acceleration: float) -> float:
-    """Return the length of a first step [s/m^0.5], a part of √(time/v0), with the time scale of the law or of a_r."""
+    """Return the length in χ [s/m^0.5] for the first step of a contact that begins with the speed v0 = `speed` [m/s].
+
+    It is a part of √(time/v0). The time is that of the contact law (`t_0_of`), or v0 over the `acceleration` [m/s²]
+    with which the columns press sphere and wall together if that is shorter.
+    """
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One step of a contact: sphere and superior base press against each other and move together.
+"""One integration step of a contact, during which sphere and superior base press against each other and move together.
 
 x_1 and x_2 are superior base (mass m_1, with the walls) and sphere (mass m), x_b the inferior base that the columns
-k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. The sphere indents the wall on `side` by δ,
-beyond the residual indentation `dent` of the state (not 0 only after a contact has let go at δ > 0):
-x_2 − x_1 = side (g/2 + `dent` + δ). In a contact the structural state y holds the centre of mass of both, given as the
-position that x_1 has at δ = 0:
+k_1, c_1 stand on (mass m_a + m_b, on k_f, c_f), i the current of its coil. The gap g is the free way of the sphere
+between the walls. The sphere indents the wall on `side` (−1 left, 1 right) by δ, beyond the residual indentation `dent`
+of the state (not 0 only after a contact has let go at δ > 0): x_2 − x_1 = side (g/2 + `dent` + δ). In a contact the
+structural state y holds the centre of mass of both, given as the position that x_1 has at δ = 0:
 
     x_1* = x_1 + side σ δ,   v_1* = v_1 + side σ δ',   σ = m / (m_1 + m)
     (m_1 + m) x_1*'' = F_c*,    F_c* = −k_1 (x_1* − x_b) − c_1 (v_1* − v_b)
@@ -85,10 +85,11 @@ _AMPLE = 4.0  # the terms are chosen before the length is known, for this many t
 
 @kernel
 def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
-    """Fill `step.path` and `step.acceleration` with the pair's Taylor coefficients about the state s, drive included.
+    """Fill `step.path` and `step.acceleration` with Taylor coefficients in time about the state s, drive included.
 
-    The expected length of the step determines the number of terms, `step.terms`, and how long they hold,
-    `step.valid_for`.
+    `path` is the motion of sphere and superior base as one body (the pair), of inferior base and coil; `acceleration`
+    is a_r, which presses sphere and wall together. The expected length of the step determines how many terms are used,
+    `step.terms`, and for how long they hold, `step.valid_for` [s].
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
@@ -128,7 +129,7 @@ def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
 
 @kernel
 def polynomial(coefficients: Reals, since: float, terms: int) -> float:
-    """Return the value of a Taylor polynomial `since` seconds after the start of the step, from its first terms."""
+    """Return the sum of the first `terms` of a Taylor polynomial, `since` seconds after its point of expansion."""
     total = coefficients[terms - 1]
     for n in range(terms - 2, -1, -1):
         total = total * since + coefficients[n]
@@ -137,14 +138,20 @@ def polynomial(coefficients: Reals, since: float, terms: int) -> float:
 
 @kernel
 def pair_at(step: Record, since: float, y: Reals) -> None:
-    """Fill y with the pair's state `since` seconds after the start of the step, without the correction z."""
+    """Fill y with the structural state at `since` seconds after the start of a contact's step.
+
+    Sphere and superior base count as one body in it, and the correction z for the indentation is not included.
+    """
     for q in range(STRUCTURE):
         y[q] = polynomial(step.path[q], since, step.terms)
 
 
 @kernel
 def _integrate(step: Record, place: int, h: float) -> None:
-    """Fill the correction of one state at the stages from its slopes d/dχ there."""
+    """Fill the correction z of one entry of y at the stages, by integrating its slopes dz/dχ over the step.
+
+    `place` is the index in y, and h the step's length in χ.
+    """
     slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
         total = 0.0
@@ -155,7 +162,11 @@ def _integrate(step: Record, place: int, h: float) -> None:
 
 @kernel
 def improve_correction(p: Record, step: Record, h: float) -> None:
-    """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h."""
+    """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h.
+
+    z is the small motion of the structure that the indentation causes through the force of the columns; h is the step's
+    length in χ.
+    """
     z, slope = step.correction, step.correction_slope
     for j in range(STAGES):
         force_z = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
@@ -181,7 +192,7 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
 
 @kernel
 def add_correction(p: Record, side: float, step: Record, stage: int, y: Reals) -> None:
-    """Add the correction at one stage to y."""
+    """Add to the structural state y the correction z at one stage, which the indentation causes through the columns."""
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
 
@@ -191,7 +202,10 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 
 @kernel
 def keep_dense_output(s: Record, step: Record) -> None:
-    """Keep the dense output of the step of length `s.h` that was solved from s."""
+    """Store the dense output of the step of length `s.h` from s: the polynomial δ'(x) through its start and stages.
+
+    It predicts the next step for Newton's method, and the place of events and instants within this one.
+    """
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
         for j in range(STAGES):
@@ -202,13 +216,13 @@ def keep_dense_output(s: Record, step: Record) -> None:
 
 @kernel
 def drop_dense_output(step: Record) -> None:
-    """Clear the dense output, so that the next step does not depend on what was solved before."""
+    """Forget the stored dense output, so that the next step does not depend on what was solved before."""
     step.dense_length = 0.0
 
 
 @kernel
 def _dense_speed(step: Record, x: float) -> float:
-    """Return δ' at x."""
+    """Return δ' [m/s] at x of the step whose dense output was stored last: 0 at its start, 1 at its end."""
     speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
         speed = speed * x + step.dense[n]
@@ -217,7 +231,7 @@ def _dense_speed(step: Record, x: float) -> float:
 
 @kernel
 def dense_slope(step: Record, x: float) -> float:
-    """Return dδ'/dχ at x of the step whose polynomial was kept last."""
+    """Return dδ'/dχ at x of the step whose dense output was stored last: 0 at its start, 1 at its end."""
     slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
         slope = slope * x + n * step.dense[n]
@@ -226,7 +240,10 @@ def dense_slope(step: Record, x: float) -> float:
 
 @kernel
 def predict_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill the stages of a step of length h from s with the speeds expected there."""
+    """Fill the stages of a step of length h from s with predicted speeds δ', from which Newton's method starts.
+
+    The dense output of the step before is extrapolated if it reaches that far; otherwise δ' is a straight line in χ.
+    """
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
         for i in range(STAGES):
@@ -238,7 +255,10 @@ def predict_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def dense_output(s: Record, step: Record, x: float) -> tuple[float, float, float]:
-    """Return (time since the start [s], w, δ') at x of the step from s, whose polynomial was kept last."""
+    """Return (time since the start [s], w, δ') at x of the step from s, whose dense output was stored last.
+
+    x is 0 at the start and 1 at the end of that step, and w the square root of the indentation δ.
+    """
     time_sum, w_sum = 0.0, 0.0  # sums over the speeds [m/s]
     for n in range(STAGES, -1, -1):
         w_sum = w_sum * x + step.dense[n] / (n + 1)
@@ -259,7 +279,7 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 
 @kernel
 def turned_at(s: Record) -> float:
-    """Return the w below which the law unloads, 0 while it loads: see `contact.law`."""
+    """Return the law's argument `turned_at` in the state s: the largest w so far while it unloads, 0 while it loads."""
     return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
 
@@ -267,7 +287,10 @@ def turned_at(s: Record) -> float:
 def force_at(
     p: Record, law: CompiledForce, per_v0: float, turned_at: float, w: float, speed: float, step: Record
 ) -> tuple[float, float, float, float, float]:
-    """Return the law's (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') at one point; `step.point` is its scratch memory."""
+    """Return the law's (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ') at one w = √δ and δ' = `speed`; see `contact.law`.
+
+    `step.point` is overwritten as scratch memory.
+    """
     law.at_point(p, per_v0, turned_at, w, speed, step)
     point = step.point
     return point[0], point[1], point[2], point[3], point[4]
@@ -275,12 +298,13 @@ def force_at(
 
 @kernel
 def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Evaluate force and slope at the start of a step, its turning point, its time scale and its tolerance.
+    """Evaluate force, slope and turning point at the start of a step, the contact's time scale, and the error allowed.
 
-    A step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency. Where the sphere
-    rests on the wall these are tiny. The error may then be the same part of a tenth of the speed that a_r gives in a
-    radian of the fastest motion of structure or drive. Newton's method never uses this second limit: instruments solve
-    steps again from another prediction, and must find the same result.
+    The speeds of a step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency.
+    Where the sphere rests on the wall these are tiny. The error may then be the same part of a tenth of the speed that
+    a_r, the acceleration which presses sphere and wall together, gives in a radian of the fastest motion of structure
+    or drive. Newton's method never uses this second limit: instruments solve steps again from another prediction, and
+    must find the same result.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
@@ -297,7 +321,7 @@ def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
 @kernel
 def _integrate_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill w and time at the stages from the speeds there."""
+    """Fill w, the square root of the indentation, and the time at the stages by integrating the speeds δ' there."""
     for i in range(STAGES):
         w = 0.0
         for j in range(STAGES):
@@ -312,7 +336,7 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def _evaluate_acceleration(p: Record, step: Record) -> None:
-    """Fill the relative acceleration at the stages, including the part of the correction."""
+    """Fill a_r, which presses sphere and wall together, at the stages, with the part of the correction z."""
     for i in range(STAGES):
         step.acceleration_at[i] = step.acceleration[step.terms - 1]
     for n in range(step.terms - 2, -1, -1):
@@ -325,7 +349,7 @@ def _evaluate_acceleration(p: Record, step: Record) -> None:
 
 @kernel
 def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Fill force and slope at the stages, and the slope's derivatives at a given relative acceleration."""
+    """Fill force and slope dδ'/dχ at the stages, and the slope's derivatives by w and δ' at a given a_r."""
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
@@ -340,10 +364,10 @@ def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> 
 
 @kernel
 def _set_newton(step: Record, h: float) -> None:
-    """Fill `step.newton` with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
+    """Fill `step.newton`, the matrix of Newton's method, with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
-    That is MATRIX⁻¹ times the derivative, by the speeds δ' at the stages, of the equations of the step,
-    δ' − δ'(start) − h MATRIX slope(δ') = 0, but for the small part of a_r(t).
+    That is MATRIX⁻¹ times the derivative, by the speeds δ' at the stages, of the equations of the step, δ' − δ'(start)
+    − h MATRIX slope(δ') = 0. Only the small part of a_r(t) is missing, see `_add_acceleration_to_newton`.
     """
     newton = step.newton
     for i in range(STAGES):
@@ -355,7 +379,7 @@ def _set_newton(step: Record, h: float) -> None:
 
 @kernel
 def _add_acceleration_to_newton(step: Record, h: float) -> None:
-    """Add the acceleration's part to `step.newton`, −(h³/2) ∂slope/∂t MATRIX²."""
+    """Add to `step.newton`, the matrix of Newton's method, the part of a_r(t): −(h³/2) ∂slope/∂t MATRIX²."""
     for i in range(STAGES):
         jerk = 0.0
         for n in range(step.terms - 1, 0, -1):
@@ -370,7 +394,7 @@ def _add_acceleration_to_newton(step: Record, h: float) -> None:
 
 @kernel
 def _invert_newton(step: Record) -> None:
-    """Replace `step.newton` by its inverse (Gauss–Jordan, no pivoting)."""
+    """Replace `step.newton`, the matrix of Newton's method, by its inverse (Gauss–Jordan, no pivoting)."""
     newton = step.newton
     for i in range(STAGES):
         per_pivot = 1.0 / newton[i, i]
@@ -387,7 +411,10 @@ def _invert_newton(step: Record) -> None:
 
 @kernel
 def _newton_step(s: Record, step: Record, h: float) -> float:
-    """Make one Newton step for the stages' speeds; return the largest change [m/s], infinite if one is not finite."""
+    """Make one Newton step for the speeds δ' at the stages; return the largest change [m/s].
+
+    It is infinite if a change is not finite, after which the caller gives up this length.
+    """
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
         for j in range(STAGES):
@@ -407,11 +434,12 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 
 @kernel
 def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
-    """Solve a step of length h; return whether Newton's method converged. The last stage is the end of the step.
+    """Solve the equations of a step of length h from s; return whether Newton's method converged within `rounds`.
 
-    Where a sphere rests on the wall until a_r(t) lifts it off, a_r determines the indentation, and Newton's method adds
-    the derivative of a_r(t) after FEW_ROUNDS. Only a step of fixed length gets as many as ROUNDS; a step of free length
-    is shortened instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
+    The last stage is the end of the step. Where a sphere rests on the wall until a_r(t), which presses it there, lifts
+    it off, a_r determines the indentation, and Newton's method adds the derivative of a_r(t) after FEW_ROUNDS. Only a
+    step of fixed length gets as many as ROUNDS; a step of free length is shortened instead. Forces and slopes at the
+    stages belong to the speeds before Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -441,7 +469,7 @@ def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, roun
 
 @kernel
 def estimate_error(step: Record, h: float) -> float:
-    """Return the error of the step solved last, in units of the allowed error.
+    """Return the estimated error of the step solved last as a multiple of the allowed one, `step.tolerance`.
 
     The stages' slopes, extrapolated to the start, miss the slope there by an error of order 6 in h. It is filtered so
     that fast decay counts only as much as it is visible (Hairer & Wanner, section IV.8). The step itself is of order 9
@@ -463,5 +491,5 @@ def estimate_error(step: Record, h: float) -> float:
 
 @kernel
 def next_length(h: float, error: float) -> float:
-    """Return the step length that an error calls for."""
+    """Return the length for the next step or attempt, after one of length h with `error` over the allowed one."""
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

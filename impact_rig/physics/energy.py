@@ -11,9 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Work and losses of a flight, by Gauss–Legendre quadrature of its closed form.
+"""Work of the drive and losses during a flight, by Gauss–Legendre quadrature of its closed form.
 
-For contacts see `contact_phase.account_step`; the losses of the contacts themselves are added in `event_loop`.
+A flight is the motion between contacts. For contacts see `contact_phase.account_step`; the losses of the contacts
+themselves are added in `event_loop`. Index 1 is the superior base on its columns, b the inferior base; c_f belongs to
+the suspension of the inferior base, K_f, R and the current i to the coil, U is its voltage.
 
 columns  ∫ c_1 (v_1 − v_b)² dt        shaker  ∫ c_f v_b² + R i² dt        friction  force times the distance slid
 work     ∫ K_f i v_b dt (current),  ∫ U i dt (voltage),  ∫ [k_1 (x_b − x_1) − c_1 (v_1 − v_b)] v_b dt (prescribed)
@@ -40,7 +42,11 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode needs no panels of its own
 
 @kernel
 def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, ledger: Record) -> None:
-    """Add weight [s] times the powers at t; y need not hold the motion of a prescribed base."""
+    """Add to the energies in `ledger` [J] the powers of drive, columns and shaker at t, times `weight` [s].
+
+    A quadrature calls this for each of its points t, in seconds since the start of the segment f. y is the structural
+    state at t; the motion of a prescribed base is computed from the drive instead.
+    """
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])
     v_rel = y[V1] - v_b
@@ -58,7 +64,10 @@ def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, le
 
 @kernel
 def account_flight(p: Record, system: Record, f: DriveSegment, flight: Record, end: float, ledger: Record) -> None:
-    """Add the work and the losses of the flight that began at `flight.t_b` and ended at `end`."""
+    """Add to `ledger` the drive's work and the losses of columns and shaker [J] in a flight from `flight.t_b` to `end`.
+
+    Both times count from the start of the drive segment [s]. Friction of the guide is added by `event_loop`.
+    """
     duration, done = end - flight.t_b, 0.0
     while done < duration:
         fastest = f.omega

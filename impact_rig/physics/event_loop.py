@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The event loop: flights, contacts and their transitions, segment by segment of the drive.
+"""Event loop of the simulation: flights, contacts and their transitions, segment by segment of the drive.
 
 Each phase of the motion lasts until an event, or until it is PAUSED and entered again: at the end of a segment, and in
 a contact also after very many steps.
@@ -95,30 +95,32 @@ from impact_rig.physics.state import (
 )
 
 DONE, NEED_ROOM, STUCK, UNSOLVED = range(4)
-"""Results of `run`: all segments are done, it needs more room for history or impacts in another call, there is no
-progress, or a step of a contact has no solution.
+"""Results of `run`. DONE: all segments are simulated. NEED_ROOM: call again with more room for the history or the
+impacts. STUCK: the motion makes no progress. UNSOLVED: a step of a contact has no solution.
 """
 
 _SPEED_RESOLUTION = 2.0**-48
 _STEPS = 500  # largest number of steps of a contact in one call of its phase
 ROWS_PER_PHASE = 2 * _STEPS
-"""Rows of the history that must be free before a phase is entered; the phase fills little more than half of them."""
+"""Number of rows of the history that must be free before a phase of the motion is entered; the phase fills little more
+than half of them.
+"""
 _EVENTS_PER_SEGMENT = 10_000_000
 
 
 class Workspace(NamedTuple):
-    """Arrays on which the event loop works.
+    """Arrays on which the event loop works: the current state, its scratch memory, and the history that it fills.
 
     Attributes:
-        states: records of STATE: the state, and a copy with which a contact is followed separately.
+        states: two records of STATE: the current state, and a copy with which a contact is followed separately.
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        ledger: one record of LEDGER.
-        counts: one record of COUNTS: how many states, impacts, segments and ticks there are.
-        history: records of STATE: the state at each event and each step of a contact.
-        impacts: records of IMPACT.
-        first_state: row of the history that holds each segment's first state, and the number of rows.
-        first_segment: each tick's first segment, and the number of segments.
+        ledger: one record of LEDGER: energies, which the loop adds to.
+        counts: one record of COUNTS: how many states, impacts, segments and ticks have been filled in.
+        history: records of STATE: the state at each event and at each step of a contact.
+        impacts: records of IMPACT: the finished contacts.
+        first_state: for each segment the row of `history` with its first state; last, the number of rows.
+        first_segment: for each tick the index of its first segment; last, the number of segments.
     """
 
     states: NDArray[np.void]
@@ -136,7 +138,10 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
-    """Return a workspace with room for `states` rows of history and for `impacts` impacts."""
+    """Return a workspace at rest, with room for `states` rows of history and for `impacts` impacts.
+
+    The caller must replace `first_state` and `first_segment` by arrays with room for its segments.
+    """
     return Workspace(
         records(2, STATE),
         records(1, FLIGHT),
@@ -152,14 +157,17 @@ def new_workspace(states: int, impacts: int) -> Workspace:
 
 @kernel
 def _keep_state(work: Workspace) -> None:
-    """Append the current state to the history."""
+    """Append the current state of the workspace to its history."""
     work.history[work.counts[0].states] = work.states[0]
     work.counts[0].states += 1
 
 
 @kernel
 def _fly_on(p: Record, s: Record, d: float, d_rate: float) -> None:
-    """Start a flight at the relative position d with the rate d_rate; guide friction acts against it from the start."""
+    """Start a flight of the sphere at d = x_2 − x_1 [m] with the rate d_rate [m/s] relative to the superior base.
+
+    Friction of the guide, if there is any, acts against d_rate from the start.
+    """
     s.phase, s.side = FREE, 0.0
     s.d, s.d_rate = d, d_rate
     s.slide = np.sign(d_rate) if p.friction_acceleration > 0.0 else 0.0
@@ -167,20 +175,30 @@ def _fly_on(p: Record, s: Record, d: float, d_rate: float) -> None:
 
 @kernel
 def _hold(s: Record, d: float, side: float) -> None:
-    """Let the sphere move with the structure, pressed by a wall or held by friction (side 0)."""
+    """Let the sphere move with the superior base at d = x_2 − x_1 [m]: phase ATTACHED.
+
+    `side` is the wall that presses the sphere, −1 (left) or 1 (right), or 0 if friction of the guide holds it.
+    """
     s.phase, s.side, s.slide = ATTACHED, side, 0.0
     s.d, s.d_rate = d, 0.0
 
 
 @kernel
 def _least_speed(p: Record, s: Record) -> float:
-    """Return the least relative speed [m/s]: `touch_speed`, or the rounding of the structure's speed if larger."""
+    """Return the least relative speed with which a sphere parts from the superior base [m/s].
+
+    It is `touch_speed`, or the rounding error of the superior base's speed if that is larger.
+    """
     return max(p.touch_speed, _SPEED_RESOLUTION * abs(s.y[V1]))
 
 
 @kernel
 def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
-    """Release a sphere that moves with the structure, with the least speed and without changing the momentum."""
+    """Release a sphere that moves with the superior base, in the direction `way` (−1 or 1) and with the least speed.
+
+    The momentum of both together does not change. The energy that this adds counts in `ledger` as a negative contact
+    loss.
+    """
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
     d_rate = way * _least_speed(p, s)
@@ -191,9 +209,10 @@ def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
 
 @kernel
 def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
-    """Begin a contact with the wall just reached; from here y holds the state of the pair.
+    """Begin a contact with the wall `side` just reached; from here `s.y` holds sphere and superior base as one body.
 
-    The energy that the least speed adds counts as a negative loss of the contact.
+    A slower touch gets the approach speed `touch_speed`; the energy that this adds counts in `ledger` as a negative
+    loss of the contact.
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
@@ -211,7 +230,11 @@ def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
 
 @kernel
 def _keep_impact(work: Workspace, s: Record, separation: float, indentation: float) -> None:
-    """Append the contact of s as an impact; separation speed in m/s, largest indentation in m."""
+    """Append the finished contact of the state s to the impacts of the workspace.
+
+    `separation` is the relative speed at its end [m/s], positive away from the wall, and `indentation` the largest one
+    [m].
+    """
     row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
     row.approach_speed, row.separation_speed = s.approach, separation
@@ -222,10 +245,10 @@ def _keep_impact(work: Workspace, s: Record, separation: float, indentation: flo
 
 @kernel
 def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
-    """End a contact: keep the impact and give y back to the structure. The sphere then flies on, or stays if `settled`.
+    """End a contact: append its impact, and let the sphere fly on or, if `settled`, stay on the wall in phase ATTACHED.
 
-    The energy that the contact still stores is lost: it relaxes or, if `settled`, rings out while the sphere is
-    ATTACHED.
+    `s.y` then holds the motion of the superior base again, instead of that of sphere and base as one body. The energy
+    that the contact still stores is lost: it relaxes or, if `settled`, rings out.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
@@ -248,10 +271,11 @@ def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
 def _bounce(
     p: Record, s: Record, side: float, pair_acceleration: float, position_rounding: float, work: Workspace
 ) -> None:
-    """Reverse the relative speed at once, or attach a sphere that no longer bounces off a pressing wall.
+    """Reverse the relative speed at a rigid wall, or attach a sphere that no longer bounces off a pressing wall.
 
-    The sphere stays if the wall presses it, by the `pair_acceleration` [m/s²] of both as one body, and it is not faster
-    than `least_rebound`. The rounding of the positions would undo a lower bounce, over and over.
+    The sphere stays if the wall presses it, by the `pair_acceleration` [m/s²] that both would have as one body, and its
+    rebound would not be faster than `least_rebound`. The rounding of the positions, `position_rounding` [m], would undo
+    a lower bounce, over and over.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
@@ -274,7 +298,10 @@ def _bounce(
 
 @kernel
 def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Advance a flight, free or as one body with the structure; return the event that ends it."""
+    """Advance a flight, with the sphere loose or attached, to its next event or `t_end`; return the event, or PAUSED.
+
+    `t_end` is the end of the drive segment, since its start [s]. If `account`, work and losses are added to the ledger.
+    """
     p, s, flight = model.parameters[0], work.states[0], work.flight[0]
     _keep_state(work)
     system, d_before = model.systems[flight.system], s.d
@@ -288,7 +315,11 @@ def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, 
 
 @kernel
 def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
-    """Complete a contact that has just begun, from the table; return whether that was possible."""
+    """Complete a contact that has just begun, by its outcome in the law's table; return whether that was possible.
+
+    If it was not, the caller integrates the contact in steps. If `account`, the contact is followed in steps as well,
+    for the work of the drive.
+    """
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
     if table.high == 0.0:
@@ -310,7 +341,11 @@ def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: floa
 
 @kernel
 def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
-    """Follow s step by step to the end of its contact, for the energy account only; a step that fails ends it."""
+    """Add to `ledger` the drive's work and the losses in columns and shaker during the contact that begins at s.
+
+    The contact is followed step by step to its end, and s is moved there. This serves contacts whose outcome comes from
+    the table. A step that fails ends it.
+    """
     drop_dense_output(step)
     for _ in range(_STEPS):
         ended = take_next_step(model, f, s, step, math.inf)
@@ -324,9 +359,9 @@ def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledg
 
 @kernel
 def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Continue a contact; return the event that ends it, or FAILED.
+    """Continue a contact until its next event or `t_end`; return the event, PAUSED, or FAILED if there is no solution.
 
-    It is PAUSED before t_end if the number of steps in one call is exceeded.
+    It is PAUSED before `t_end`, the end of the drive segment, if the number of steps in one call is exceeded.
     """
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
@@ -363,7 +398,10 @@ def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float,
 
 @kernel
 def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, ended: int) -> None:
-    """Change the phase after an event, see the table at the head of this module."""
+    """Enter the phase of the motion that follows the event `ended`, see the table at the head of this module.
+
+    `tick` is the number of the present tick since the reset, which a contact records as its beginning.
+    """
     p, s, flight, ledger = model.parameters[0], work.states[0], work.flight[0], work.ledger[0]
     if ended == PAUSED:
         return
@@ -389,7 +427,11 @@ def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, end
 
 @kernel
 def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float, fresh: bool) -> None:
-    """Prepare the closed form of a flight if the frequency, the system or (`fresh`) the segment is new."""
+    """Prepare the part of a flight that the drive causes, unless the one prepared last still holds.
+
+    That is so while drive frequency and linear system are the same, and the segment is not new (`fresh`). `t_end` is
+    the end of the segment [s].
+    """
     flight = work.flight[0]
     renewed = choose_system(model, f, work.states[0], flight)
     if fresh or renewed:
@@ -398,7 +440,10 @@ def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float
 
 @kernel
 def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: bool) -> None:
-    """Start a segment of a prescribed base; if the base jumps, the springs of the columns absorb the work."""
+    """Set a prescribed base to where the drive segment f begins; in a jump, the springs of the columns absorb the work.
+
+    That work is added to `ledger` if `account`.
+    """
     x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
     if account:
@@ -412,9 +457,10 @@ def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: b
 def run(
     model: Model, segments: Records, first_tick: int, segment: int, work: Workspace, account: bool
 ) -> tuple[int, int]:
-    """Advance the state through `segments[segment:]`; return (how it ended, the segment it is in).
+    """Advance the state through `segments[segment:]`; return (DONE or why it stopped, index of the segment it is in).
 
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`. After
+    NEED_ROOM, call again with the returned index and a larger workspace.
 
     Work, and losses outside the contacts, are computed only if `account` is true; this costs as much as the flights.
     """

@@ -13,8 +13,9 @@
 # limitations under the License.
 """Closed forms of the motion between contacts: the structure is linear, the sphere is loose or one body with it.
 
-**Drive.** Inside one segment u(t) = (A + B t) sin(ω t + φ). The answer of the linear system y' = M y + b_0 u + b_1 u'
-to it is
+**Drive.** Inside one segment the drive is u(t) = (A + B t) sin(ω t + φ), with u the current of the coil, the
+displacement of the base or the voltage. The response of the linear system y' = M y + b_0 u + b_1 u' (see `linear`) to
+it is
 
     y_p(t) = Im[(P + Q t) exp(jωt)],   H = (jω − M)⁻¹ (b_0 + jω b_1),   G = (jω − M)⁻¹ (b_1 − H)
     Q = B e^{jφ} H,                    P = A e^{jφ} H + B e^{jφ} G
@@ -81,11 +82,16 @@ SEGMENT = np.dtype(
         ("begin", "f8"),  # when the segment begins, since the start of its tick [s]
     ]
 )
-"""Drive segments, in order. A segment either begins a tick (`begin` = 0) or continues the tick of the one before."""
+"""Record of one drive segment, u(t) = (A + B t) sin(ω t + φ) with t from its start. A segment either begins a tick
+(`begin` = 0) or continues the tick of the one before.
+"""
 
 
 class DriveSegment(NamedTuple):
-    """One segment of the drive."""
+    """One segment of the drive, u(t) = (amplitude + growth t) sin(omega t + phase), in the form that kernels pass on.
+
+    t counts from the start of the segment, and `begin` is that start since the start of its tick [s].
+    """
 
     omega: float
     phase: float
@@ -96,13 +102,13 @@ class DriveSegment(NamedTuple):
 
 @kernel
 def drive_segment(row: Record) -> DriveSegment:
-    """Return one record of SEGMENT as a segment of the drive."""
+    """Return one record of SEGMENT as the tuple that kernels pass on."""
     return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
 @kernel
 def drive(f: DriveSegment, t: float) -> tuple[float, float]:
-    """Return u and u' at t."""
+    """Return the drive u [A, m or V, by kind] and its rate u' at t seconds after the start of the segment f."""
     amplitude = f.amplitude + f.growth * t
     sine, cosine = sincos(f.omega * t + f.phase)
     return amplitude * sine, f.growth * sine + amplitude * f.omega * cosine
@@ -110,7 +116,7 @@ def drive(f: DriveSegment, t: float) -> tuple[float, float]:
 
 @kernel
 def phasor(angle: float) -> complex:
-    """Return exp(j angle)."""
+    """Return exp(j angle), the angle in radians."""
     if angle == 0.0:  # always, if the drive is a straight line
         return 1.0 + 0.0j
     sine, cosine = sincos(angle)
@@ -119,7 +125,7 @@ def phasor(angle: float) -> complex:
 
 @kernel
 def bound_omega(system: Record, omega: float) -> float:
-    """Return the fastest rate [1/s] of the drive and of the modes."""
+    """Return the fastest rate [1/s] in a flight: that of the drive, `omega`, or of the fastest mode of the system."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
         fastest = max(fastest, modulus(system.rate[n]))
@@ -128,14 +134,17 @@ def bound_omega(system: Record, omega: float) -> float:
 
 @kernel
 def _half_reciprocal(number: complex) -> complex:
-    """Return 1 / (2 number)."""
+    """Return 1 / (2 number) of a complex number."""
     scale = 0.5 / (number.real * number.real + number.imag * number.imag)
     return complex(number.real * scale, -number.imag * scale)
 
 
 @kernel
 def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> None:
-    """Fill out = (jω − M)^-1 vector; each kept mode represents itself and its conjugate."""
+    """Fill out = (jω − M)⁻¹ vector, with M the system's matrix, as a sum over the system's modes.
+
+    A mode of a conjugate pair is stored once and represents its conjugate, too.
+    """
     for i in range(system.states):
         out[i] = 0.0j
     for n in range(system.modes):
@@ -154,7 +163,10 @@ def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> 
 
 @kernel
 def frequency_response(system: Record, omega: float, flight: Record) -> None:
-    """Fill `flight.answer` (H) and `flight.growth_answer` (G): the answers to a steady and to a growing drive."""
+    """Fill `flight.answer` (H) and `flight.growth_answer` (G): the responses to a steady and to a growing drive.
+
+    They are complex amplitudes of the state y per unit of the drive at the angular frequency `omega`, see the module.
+    """
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it
     for i in range(n):
@@ -167,7 +179,7 @@ def frequency_response(system: Record, omega: float, flight: Record) -> None:
 
 @kernel
 def particular(system: Record, f: DriveSegment, flight: Record) -> None:
-    """Fill `flight.steady` (P) and `flight.growing` (Q) for this segment's amplitude and phase."""
+    """Fill `flight.steady` (P) and `flight.growing` (Q) of the response Im[(P + Q t) exp(jωt)] to a drive segment."""
     rotor = phasor(f.phase)
     for i in range(system.states):
         flight.growing[i] = f.growth * rotor * flight.answer[i]
@@ -176,7 +188,10 @@ def particular(system: Record, f: DriveSegment, flight: Record) -> None:
 
 @kernel
 def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
-    """Return a time, at most `longest` [s], in which a point cannot cover `distance`: see the head of this file."""
+    """Return a time, at most `longest` [s], within which a point cannot cover `distance`: see the head of this file.
+
+    `speed` and `acceleration` are those towards the target at present, and `jerk_bound` limits the jerk meanwhile.
+    """
     half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
         speed <= 0.0 or speed + 2.0 * half_acceleration * longest >= 0.0
@@ -212,7 +227,10 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
 
 @kernel
 def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> bool:
-    """Set `flight.system` to the system that moves from s on; return whether its answers had to be recomputed."""
+    """Set `flight.system` to the linear system that moves from s on; return whether H and G were computed again.
+
+    The system is that with the sphere loose or attached. H and G are its responses to a drive of the frequency of f.
+    """
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
         return False
@@ -223,13 +241,19 @@ def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> b
 
 @kernel
 def guide_friction(p: Record, s: Record) -> float:
-    """Return the force of the guide's friction on the superior base [N]; in phase ATTACHED it is an internal force."""
+    """Return the force of the guide's friction on the superior base [N], 0 in phase ATTACHED.
+
+    There it is a force inside the one body.
+    """
     return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
 def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: float) -> None:
-    """Prepare a segment's particular solution and its part in the derivatives of x_1, with a bound on each part."""
+    """Prepare the response to a drive segment and its part in each derivative of x_1.
+
+    That part also gets a bound until `t_end`, the end of the segment [s].
+    """
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
@@ -241,7 +265,10 @@ def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: floa
 
 @kernel
 def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
-    """Return the modulus and the value of exp(λ since), the factor by which a mode's amplitude has changed."""
+    """Return the modulus and the value of exp(λ since), the change of a mode's amplitude in `since` seconds.
+
+    λ is `rate`.
+    """
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
     return envelope, complex(envelope * cosine, envelope * sine)
@@ -249,7 +276,10 @@ def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
 
 @kernel
 def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: float) -> None:
-    """Compute the modes' amplitudes of a flight that begins at t with the state y, and their parts in x_1."""
+    """Compute the modes' amplitudes in a flight from the structural state y at t, and their parts in x_1.
+
+    These are the parts in x_1 and each of its derivatives, with their moduli as bounds.
+    """
     rotor = phasor(f.omega * t)
     flight.t_b = t
     for i in range(system.states):
@@ -269,7 +299,10 @@ def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: f
 
 @kernel
 def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: int) -> None:
-    """Fill `flight.x_1[order:order + 3]`, derivatives of x_1 at t; `flight.bound` bounds the next one from there on."""
+    """Fill `flight.x_1[order:order + 3]` with those three derivatives of x_1 at t, and bound the next one from t on.
+
+    `flight.bound` is the bound, valid until the end of the segment. Both are used to find the next event.
+    """
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
     forced = (flight.forced[order] + flight.forced_growing[order] * t) * rotor
@@ -293,7 +326,7 @@ def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: i
 
 @kernel
 def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
-    """Return the rounding error [m] of the distance to a wall: that of the largest terms of x_1, with a margin."""
+    """Return the rounding error [m] of a distance to a wall at t: that of the largest terms of x_1, with a margin."""
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
         largest += flight.wave_size[0, n]
@@ -302,7 +335,7 @@ def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
 
 @kernel
 def structure_at(system: Record, f: DriveSegment, flight: Record, t: float) -> None:
-    """Fill `flight.y` with the linear system's state at t."""
+    """Fill `flight.y` with the structural state at t [s], since the start of the segment, by the closed form."""
     rotor = phasor(f.omega * t)
     for i in range(system.states):
         forced = (flight.steady[i] + flight.growing[i] * t) * rotor
@@ -317,23 +350,28 @@ def structure_at(system: Record, f: DriveSegment, flight: Record, t: float) -> N
 
 @kernel
 def negligible(advance: float, t: float) -> bool:
-    """Return whether an advance [s] is lost in the rounding of the time."""
+    """Return whether `advance` [s] is lost in the rounding when it is added to the time t: the event is reached."""
     return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 
 @kernel
 def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
-    """Return the distance from the sphere at d to a wall [m]; a wall that let it go has its surface further back."""
+    """Return the distance [m] from the sphere at d = x_2 − x_1 to the wall on `side` (−1 left, 1 right), at least 0.
+
+    A wall that let the sphere go while it was indented has its surface further back, until the sphere has left that
+    place.
+    """
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
 
 
 @kernel
 def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
-    """Advance a flight from s to the first touch or to t_end; return TOUCHED, STOPPED or PAUSED.
+    """Advance a flight with a loose sphere from s to its first touch, or to t_end; return TOUCHED, STOPPED or PAUSED.
 
     TOUCHED: the state is the one at the touch, and the distance to the wall `s.side` is zero within rounding; `_touch`
-    and `_bounce` set it exactly. STOPPED: friction has brought the sphere to rest on its guide.
+    and `_bounce` set it exactly. STOPPED: friction has brought the sphere to rest on its guide. PAUSED: `t_end` is
+    reached, in seconds since the start of the segment.
     """
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
@@ -391,8 +429,9 @@ def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t
 def fly_attached(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
     """Advance sphere and superior base as one body until they part or to t_end; return PARTED or PAUSED.
 
-    `s.side` is the wall that presses the sphere, or 0 if guide friction holds it. They part when |x_1''| reaches μ g_0,
-    at a wall only if it pulls away. The sphere then moves in the direction of `s.slide`.
+    `s.side` is the wall that presses the sphere, or 0 if guide friction holds it. They part when the acceleration
+    |x_1''| reaches the friction's limit μ g_0, at a wall only if the wall pulls away. The sphere then moves in the
+    direction of `s.slide` relative to the base.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, PAUSED, flight.x_1

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The function generator: makes drive segments from commands, phase-continuous and with ramped amplitude.
+"""Function generator of the shaker: makes drive segments from commands, phase-continuous and with ramped amplitude.
 
-There is one segment per tick of the command grid; a stream (see `stream`) splits ticks at its samples as well. The
-phase does not depend on how many segments are requested at once. The phase of a sine is computed from the number of
-ticks since the last change, so it does not drift; a chirp changes in every tick.
+There is one segment per tick (10 ms) of the command grid; a stream (see `stream`) splits ticks at its samples as well.
+The phase does not depend on how many segments are requested at once. The phase of a sine is computed from the number of
+ticks since the last change of its frequency, so it does not drift. The frequency of a chirp changes in every tick.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Ramp(NamedTuple):
-    """Linear ramp of the amplitude: first tick, amplitude there, target, and number of ticks to the target."""
+    """Linear ramp of the amplitude from `initial`, at the start of `first_tick`, to `target`, `ticks` ticks later."""
 
     first_tick: int
     initial: float
@@ -51,14 +51,17 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 @kernel
 def amplitude_at(ramp: Ramp, tick: int) -> float:
-    """Return the amplitude at a tick."""
+    """Return the amplitude at the start of a tick, during or after the ramp."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
 
 @entry(SEGMENT, REALS, float)
 def fill_lines(segments: Records, amplitudes: Reals, tick_s: float) -> None:
-    """Fill in n segments of one tick [s] each: straight lines between n + 1 amplitudes at their ends."""
+    """Fill segments of one tick each, `tick_s` seconds, with a drive that is a straight line within each tick.
+
+    `amplitudes` are the n + 1 values at the ends of the n ticks.
+    """
     for i in range(segments.shape[0]):
         segment = segments[i]
         segment.duration, segment.omega, segment.phase, segment.begin = tick_s, 0.0, PI / 2.0, 0.0
@@ -69,7 +72,10 @@ def fill_lines(segments: Records, amplitudes: Reals, tick_s: float) -> None:
 def fill_sine(
     segments: Records, tick: int, ramp: Ramp, tick_s: float, frequency_hz: float, ticks_since: int, phase: float
 ) -> None:
-    """Fill in segments of one tick [s] each from `tick` on; `phase` [rad] holds `ticks_since` ticks before `tick`."""
+    """Fill segments with a sine of the ramp's amplitude, one tick of `tick_s` seconds each, from tick number `tick` on.
+
+    The sine had the phase `phase` [rad] when its frequency last changed, `ticks_since` ticks before `tick`.
+    """
     amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):
         segment, next_amplitude = segments[i], amplitude_at(ramp, tick + i + 1)
@@ -85,8 +91,15 @@ def fill_sine(
 class FunctionGenerator:
     """Function generator for sines, chirps in steps of one tick, seeded band-limited noise, and streams of samples.
 
-    The amplitude moves linearly to a new command within `shaker.ramp_s`, rounded up to whole ticks. Random drive is
-    Gaussian noise, band-passed, with straight lines between ticks; its amplitude is the rms of its values there.
+    The amplitude moves linearly to a newly commanded one within `shaker.ramp_s`, rounded up to whole ticks. Random
+    drive is Gaussian noise, band-passed, with straight lines between ticks; its amplitude is the rms of its values
+    there.
+
+    Args:
+        drive: waveform and first command; a ramp leads to its amplitude.
+        shaker: the section with the ramp time.
+        random: source of the numbers of a random drive.
+        tick_s: duration of one tick [s].
 
     Attributes:
         frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
@@ -118,22 +131,26 @@ class FunctionGenerator:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the sine or chirp at the next tick, in [0, 2π)."""
+        """Phase of the sine or chirp at the start of the next tick [rad], in [0, 2π)."""
         cycles = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
         return math.fmod(self._anchor_phase + TWO_PI * math.fmod(cycles, 1.0), TWO_PI)
 
     @property
     def amplitude(self) -> float:
-        """Amplitude at the next tick."""
+        """Amplitude at the start of the next tick (A, m or V by drive; peak, or rms for random drive)."""
         return float(amplitude_at(self._ramp, self.tick))
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude at the end of the present ramp."""
+        """Amplitude at the end of the present ramp, or the present one if no ramp is under way."""
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
-        """Change the frequency from the next tick on, without a jump of the phase."""
+        """Change the frequency of the drive from the next tick on, without a jump of the phase.
+
+        Raises:
+            CommandError: the frequency is not a finite number > 0.
+        """
         if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
             raise CommandError(f"frequency must be > 0 Hz, got {frequency_hz!r}")
         self._anchor_phase = self.phase_rad
@@ -144,17 +161,20 @@ class FunctionGenerator:
         """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick.
 
         A stream accepts zero only, which stops it and drops its buffered samples.
+
+        Raises:
+            CommandError: the amplitude is not a finite number >= 0.
         """
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
             raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp to zero within `ramp_s`, regardless of the ramp of other commands; drop the samples of a stream."""
+        """Ramp the drive to zero within `ramp_s` seconds, whatever the ramp of other commands; end a stream."""
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the ramp time of later amplitude changes; a ramp under way starts again with it.
+        """Set the time [s] that later amplitude changes take; a ramp under way starts again with it from here.
 
         A ramp to zero can only become shorter, see `_ramp_to`.
         """
@@ -168,7 +188,7 @@ class FunctionGenerator:
         return math.ceil(ramp_s / self._tick_s - 1e-9)
 
     def _ramp_to(self, target: float, ticks: int) -> None:
-        """Ramp from the present amplitude to another one.
+        """Start a ramp from the present amplitude to `target` in so many ticks; a stream is stopped.
 
         No command delays the end of a ramp to zero: a stop stays as quick as it was, whatever commands follow.
         """
@@ -183,20 +203,23 @@ class FunctionGenerator:
             self._ramp = Ramp(self.tick, present if ticks else target, target, ticks)
 
     def set_tick(self, tick_s: float) -> None:
-        """Change the duration of a tick after the scan clock's error has changed; the phase does not jump."""
+        """Change the duration of a tick [s] after the scan clock's error has changed; the phase does not jump."""
         if tick_s != self._tick_s:
             self._anchor_phase, self._anchor_tick = self.phase_rad, self.tick
             self._tick_s = tick_s
 
     def copy(self) -> FunctionGenerator:
-        """Return an independent copy that continues from here with the same noise."""
+        """Return an independent copy that continues from here with the same noise; a stream's buffer is shared."""
         twin = copy.copy(self)
         twin._noise = self._noise and self._noise.copy()
         twin.stream = self.stream and self.stream.copy()
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Return the drive segments of the next `count` ticks, dtype `SEGMENT`: one per tick, or more for a stream."""
+        """Generate the next `count` ticks; return their drive segments, dtype `SEGMENT`.
+
+        There is one segment per tick, or more for a stream.
+        """
         segments: NDArray[np.void]
         if self.stream is not None:
             segments = self.stream.segments(self.tick, count, self._tick_s)
@@ -220,7 +243,10 @@ class FunctionGenerator:
         self._reached = self.amplitude
 
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
-        """Add the ramp from where a stream was stopped; the samples of the stream itself are zero from there on."""
+        """Add to segments the ramp to zero from the value at which a stream was stopped.
+
+        The samples of the stream itself are zero from that instant on, so the sum is the ramp alone.
+        """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return
         amplitudes = np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])

@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Motion over complete cycles of the drive, in closed form from the stored states.
+"""Amplitudes of the motion over complete cycles of the drive, in closed form from the stored states.
 
-Computed are the fundamentals of both bases, and position and velocity of the sphere at the start of each cycle.
+Computed are the complex amplitudes of both bases at the drive frequency (the fundamentals), and position and velocity
+of the sphere at the start of each cycle.
 
-For a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of y(t) exp(−jωt), and D that of the
-drive. The structure is linear, and the only effect of the sphere on it, at the walls or by friction, is N = −m x_2''.
-So
+For a segment of the drive that is one cycle, T = 2π/ω, let Y be the integral of the structural state y(t) exp(−jωt),
+and D that of the drive. The structure is linear, y' = M y + b_0 u + b_1 u', and the only effect of the sphere on it, at
+the walls or by friction, is the force N = −m x_2''. So
 
     (jω − M) Y = −[y] + b_0 D + b_1 ([u] + jω D) + N's integral / m_1,   [y] = y(T) − y(0)
 
@@ -49,12 +50,12 @@ CYCLE = np.dtype(
         ("v_2", "f8"),  # its velocity at that instant [m/s]
     ]
 )
-"""One cycle of the drive."""
+"""Record of one cycle of the drive: complex amplitudes of both bases, and the sphere's motion at the start."""
 
 
 @kernel
 def _sphere(p: Record, s: Record) -> tuple[float, float]:
-    """Return x_2 and v_2 of a state."""
+    """Return the sphere's position x_2 [m] and velocity v_2 [m/s] in a state of any phase."""
     if s.phase != CONTACT:
         return s.y[X1] + s.d, s.y[V1] + s.d_rate
     part = (1.0 - p.share) * s.side
@@ -63,7 +64,10 @@ def _sphere(p: Record, s: Record) -> tuple[float, float]:
 
 @kernel
 def _integrate_straight(omega: float, length: float, x_2: float, v_2: float, x_end: float, v_end: float) -> complex:
-    """Return the integral of x_2'' exp(−jωt) over a step, with t from its middle, if x_2'' is a straight line."""
+    """Return the integral of x_2'' exp(−jωt) over a contact's step, with t from its middle, for a straight line x_2''.
+
+    The line has the given changes of velocity and position over the step of `length` seconds.
+    """
     moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
     square = omega * length * omega * length
     return complex((v_end - v_2) * (1.0 - square * (1.0 / 24.0)), -omega * moment * (1.0 - square * (1.0 / 40.0)))
@@ -73,7 +77,10 @@ def _integrate_straight(omega: float, length: float, x_2: float, v_2: float, x_e
 def _integrate_one_body(
     system: Record, flight: Record, omega: float, t: float, rotor: complex, t_end: float, rotor_end: complex
 ) -> complex:
-    """Return the integral of x_1'' exp(−jωt) over the flight from t to t_end, the rotors exp(−jωt) there."""
+    """Return the integral of x_1'' exp(−jωt) from t to t_end in a flight with the sphere attached.
+
+    `rotor` and `rotor_end` are exp(−jωt) at both ends.
+    """
     jw = complex(0.0, omega)
     steady, growing = flight.steady[X1], flight.growing[X1]
     for _ in range(2):
@@ -96,7 +103,10 @@ def _integrate_one_body(
 def _integrate_acceleration(
     model: Model, f: DriveSegment, trajectory: Trajectory, rows: tuple[int, int], duration: float, flight: Record
 ) -> complex:
-    """Return the integral of x_2'' exp(−jωt) over a segment, whose states are `rows` = (first, first of the next)."""
+    """Return the integral of x_2'' exp(−jωt) over a segment of `duration` seconds, t from its start.
+
+    `rows` are the rows of the history with the segment's first state and with the next segment's first.
+    """
     p, history, total, rotor = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
     x_2, v_2 = _sphere(p, history[rows[0]])
     for row in range(rows[0], rows[1]):
@@ -122,7 +132,10 @@ def _integrate_acceleration(
 
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
 def follow_cycles(model: Model, trajectory: Trajectory, flights: Records, out: Reals) -> None:
-    """Fill in one CYCLE per segment; `flights` is scratch memory, one record."""
+    """Fill `out` with one CYCLE, six numbers in a row, per segment of the trajectory, each of which must be one cycle.
+
+    `flights` is scratch memory, one record of FLIGHT.
+    """
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0
     for i in range(out.shape[0]):

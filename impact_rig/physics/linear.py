@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The linear rig: the constants of the equations of motion from a configuration, and the modes of the linear systems.
+"""Linear part of the rig: the constants of the equations of motion from a configuration, and the linear systems' modes.
 
     y' = M y + b_0 u + b_1 u',   y = (x_1, v_1[, x_b, v_b[, i]]),   u = coil current, base displacement or coil voltage
 
-In modal form y(t) = Re Σ_n Φ_n C_n exp(λ_n t) + y_p(t), with C_n = Γ_n · (y − y_p) at t = 0 and the drive's particular
-solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the sphere attached to the superior
-base (m_1 + m).
+Superior base (x_1, v_1), inferior base (x_b, v_b) and coil current i form the state y; a prescribed base is not part of
+it, and i only with a voltage drive. In modal form y(t) = Re Σ_n Φ_n C_n exp(λ_n t) + y_p(t), with C_n = Γ_n · (y − y_p)
+at t = 0 and the drive's particular solution y_p. Two such systems exist: with the sphere loose (mass m_1) and with the
+sphere attached to the superior base (m_1 + m).
 """
 
 from __future__ import annotations
@@ -51,42 +52,43 @@ from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 
 class MechanicsSetup(Protocol):
-    """Sections of a configuration that the mechanics need; `impact_rig.rig.config.RigConfig` has them."""
+    """Interface of a configuration for the mechanics: the sections that they need; `RigConfig` has them."""
 
     @property
     def structure(self) -> Structure:
-        """Columns and superior base."""
+        """Section `structure`: columns and superior base."""
 
     @property
     def shaker(self) -> Shaker:
-        """Table and coil."""
+        """Section `shaker`: suspension, coil, and the masses of moving element and inferior base."""
 
     @property
     def drive(self) -> Drive:
-        """Drive waveform and kind."""
+        """Section `drive`: kind and waveform of the drive."""
 
     @property
     def sphere(self) -> Sphere:
-        """The loose sphere."""
+        """Section `sphere`: the loose sphere."""
 
     @property
     def barriers(self) -> Barriers:
-        """The two barriers."""
+        """Section `barriers`: the two walls and the gap between them."""
 
     @property
     def contact(self) -> Contact:
-        """Contact law and its parameters."""
+        """Section `contact`: contact law and its settings."""
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:
-    """Return m = ρ π d³ / 6 [kg]."""
+    """Return the mass of the sphere, m = ρ π d³ / 6 [kg], from its density ρ and diameter d."""
     return sphere.density_kg_m3 * PI * (sphere.diameter_m * sphere.diameter_m * sphere.diameter_m) / 6.0
 
 
 def hertz_stiffness_n_m32(sphere: Sphere, barriers: Barriers) -> float:
-    """Return K of F = K δ^(3/2) for a sphere on a plane [N/m^1.5].
+    """Return the Hertz stiffness K of F = K δ^(3/2) for the sphere on a plane barrier [N/m^1.5].
 
-    K = 4 sqrt(R) / {3 [(1 − ν₁²)/E₁ + (1 − ν₂²)/E₂]}: the paper's Eq. (4), Goldsmith (1960).
+    K = 4 sqrt(R) / {3 [(1 − ν₁²)/E₁ + (1 − ν₂²)/E₂]} with the sphere's radius R, Poisson's ratios ν and Young's moduli
+    E: the paper's Eq. (4), Goldsmith (1960).
     """
     compliance = _compliance(sphere.poisson_ratio, sphere.young_modulus_pa) + _compliance(
         barriers.poisson_ratio, barriers.young_modulus_pa
@@ -99,7 +101,7 @@ def _compliance(poisson_ratio: float, young_modulus_pa: float) -> float:
 
 
 def effective_mass_kg(first_kg: float, second_kg: float) -> float:
-    """Return the effective mass of the relative motion of two free bodies, m₁ m₂ / (m₁ + m₂) [kg]."""
+    """Return m₁ m₂ / (m₁ + m₂) [kg], the effective mass of the relative motion of two free bodies."""
     return first_kg * second_kg / (first_kg + second_kg)
 
 
@@ -109,7 +111,11 @@ _DETUNING = 1e-9  # relative nudge of the damping that separates two coinciding 
 
 
 class Constants(NamedTuple):
-    """Constants of the structure and the shaker as the equations of motion use them, SI."""
+    """Constants of the structure and the shaker as the equations of motion use them, SI.
+
+    Index 1 is the superior base on its columns; `m_base` is the mass of moving element and inferior base, on the
+    suspension c_f, k_f. The last three belong to the coil.
+    """
 
     m_1: float
     c_1: float
@@ -123,8 +129,9 @@ class Constants(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """Modes of y' = M y; complex pairs are kept once with doubled right vectors. Shapes: (k,), (k, n), (k, n).
+    """Modes of y' = M y: rates λ [1/s], right and left vectors, shapes (k,), (k, n) and (k, n).
 
+    Of a complex conjugate pair one mode is kept, with its right vector doubled, so that the real part of the sum is y.
     Each left vector is 1 at one entry of the state, so the modal coordinate has the unit of that entry.
     """
 
@@ -134,7 +141,7 @@ class Modes(NamedTuple):
 
 
 def constants(config: MechanicsSetup) -> Constants:
-    """Return the constants of motion of a configuration: k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
+    """Return the constants of the equations of motion from a configuration, with k_1 = m_1 ω_n², c_1 = 2 ζ m_1 ω_n."""
     structure, shaker = config.structure, config.shaker
     omega_n = TWO_PI * structure.natural_frequency_hz
     return Constants(
@@ -151,7 +158,10 @@ def constants(config: MechanicsSetup) -> Constants:
 
 
 def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
-    """Return M, shape (n, n), for a superior base of `mass` [kg] under the drive `kind`."""
+    """Return M of y' = M y + b_0 u + b_1 u', shape (n, n), for a superior base of `mass` [kg] under the drive `kind`.
+
+    n is 2 for a prescribed base, 4 for a current drive and 5 for a voltage drive.
+    """
     n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
     matrix = np.zeros((n, n))
     matrix[X1, V1] = 1.0
@@ -168,7 +178,7 @@ def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
 
 
 def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return b_0 and b_1, shape (n,): the factors of u and of its rate."""
+    """Return b_0 and b_1 of y' = M y + b_0 u + b_1 u', shape (n,): how the drive u of this kind and its rate enter."""
     n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
     b_0, b_1 = np.zeros(n), np.zeros(n)
     if kind == "prescribed":
@@ -181,7 +191,7 @@ def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.floa
 
 
 def modes(matrix: NDArray[np.float64]) -> Modes:
-    """Return the modes of a real matrix, computed with many digits and rounded once; real modes first, then pairs.
+    """Return the modes of a real matrix M, computed with many digits and rounded once; real modes first, then pairs.
 
     (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left at each root of p, a matrix of rank one. Coinciding
     eigenvalues (critical damping) have no complete set of modes; the damping is then changed by a few parts in 1e9.
@@ -224,7 +234,7 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
 
 @precise
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
-    """Return the modes, or None if two of them are too similar to separate."""
+    """Return the modes of a real matrix, with many digits, or None if two of them are too similar to separate."""
     polynomial, adjugate = resolvent(_exactly(matrix))
     scale = _balance(matrix)
     start = np.linalg.eigvals(matrix * scale[np.newaxis, :] / scale[:, np.newaxis])  # the scaling keeps the roots
@@ -251,14 +261,20 @@ def _refined(matrix: NDArray[np.float64]) -> Modes | None:
 
 
 def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[list[Complex]]:
-    """Return adj(s I − M) / p'(s) at a root s = `rate` of p."""
+    """Return adj(s I − M) / p'(s), the residue of (s I − M)⁻¹ at a root s = `rate` of p; `slope` is p'(s).
+
+    `adjugate` holds the matrices of adj(s I − M) by power of s, the constant one first.
+    """
     n = len(adjugate)
     per_slope = Complex(ONE) / slope
     return [[evaluate([power[i][j] for power in adjugate], rate) * per_slope for j in range(n)] for i in range(n)]
 
 
 def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return units, shape (n,), in which lengths and speeds have similar sizes: time scales differ by decades."""
+    """Return a unit for each entry of y, shape (n,), so that lengths and speeds have numbers of similar size.
+
+    Time scales differ by decades; without this, the approximate eigenvalues would be poor.
+    """
     scale = np.ones(len(matrix))
     scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))
     return scale

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Closed-form frequency response of the rig without its sphere: superior base over base, and base over coil current."""
+"""Closed-form frequency responses without the sphere: superior over inferior base, inferior base over current."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from impact_rig.physics.linear import MechanicsSetup, constants
 
 
 def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return the transmissibility X_1 / X_b of the rig without its sphere, in closed form.
+    """Return the transmissibility X_1 / X_b of the rig without its sphere, in closed form: superior over inferior base.
 
         X_1 / X_b = (1 + 2iζr) / (1 − r² + 2iζr),   r = f / f_n
 
@@ -35,8 +35,8 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
         frequency_hz: frequencies f [Hz], a number or an array of any shape.
 
     Returns:
-        Complex ratio of the amplitudes, in the shape of `frequency_hz`. Its magnitude is DT, its argument the phase of
-        x_1 relative to x_b [rad].
+        Complex ratio of the displacement amplitudes, in the shape of `frequency_hz`. Its magnitude is the displacement
+        transmissibility DT, its argument the phase of x_1 relative to x_b [rad].
 
     Examples:
         >>> import impact_rig
@@ -51,9 +51,10 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
 
 
 def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return X_b per ampere of coil current without the sphere [m/A].
+    """Return the complex displacement X_b of the inferior base per ampere of coil current, without the sphere [m/A].
 
-    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T]: the structure acts back on the base with m_1 ω² X_1.
+    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T], with T = X_1 / X_b from `transmissibility`: the structure
+    acts back on the base with the force m_1 ω² X_1. The result has the shape of `frequency_hz`.
     """
     c = constants(config)
     omega = 2.0 * math.pi * np.asarray(frequency_hz, float)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Model`: the numbers the compiled event loop needs, built once from a configuration."""
+"""`Model`: the numbers that the compiled event loop needs, built once from a configuration."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ from impact_rig.physics.state import DRIVES, PARAMETERS, PRESCRIBED, SYSTEM, V1,
 
 STANDARD_GRAVITY = 9.80665
 CONTACT_RTOL = 1e-9
-"""Default relative tolerance of each step of a contact."""
+"""Default relative tolerance of each integration step of a contact."""
 
 
 class Model(NamedTuple):
-    """Constants between two changes of the configuration.
+    """Constants of a simulation, which are valid until the configuration changes.
 
     Attributes:
-        parameters: one record of PARAMETERS.
-        systems: records of SYSTEM, SPHERE_LOOSE and SPHERE_ATTACHED.
-        table: one record of `outcome.TABLE`.
+        parameters: one record of PARAMETERS: the numbers of the equations of motion.
+        systems: two records of SYSTEM: the linear systems with the sphere loose and attached.
+        table: one record of `outcome.TABLE`: outcomes of fast contacts.
         law: the contact law's compiled force.
     """
 
@@ -69,6 +69,9 @@ MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
 
 def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
     """Return the model of a configuration; `kind`, if given, replaces its `drive.kind`.
+
+    `rtol` is the relative tolerance of the steps of a contact. Outcomes of contacts are tabulated only if it is not
+    below the default.
 
     Raises:
         ConfigError: the masses and stiffnesses have no usable modes.
@@ -99,10 +102,10 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
 
 
 def _parameters(p: SimpleNamespace) -> Any:
-    """Return one record of PARAMETERS; fields that are not set are zero.
+    """Return one record of PARAMETERS with the attributes of `p`; fields that `p` does not set are zero.
 
     Raises:
-        AttributeError: PARAMETERS has no such field.
+        AttributeError: PARAMETERS has no field for an attribute of `p`.
     """
     names = PARAMETERS.names or ()
     if unknown := vars(p).keys() - set(names):
@@ -113,7 +116,7 @@ def _parameters(p: SimpleNamespace) -> Any:
 
 
 def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
-    """Set the parameters that depend on the contact law."""
+    """Set the attributes of `p` that depend on the contact law, for bodies of the effective mass `m_eff` [kg]."""
     p.stiffness, p.factor, p.restitution = force.stiffness, force.factor, force.restitution
     p.rigid, p.lets_go, p.remembers = force.rigid, force.lets_go, force.remembers
     if not force.rigid:
@@ -123,12 +126,15 @@ def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the table of a law's outcomes, in its own units."""
+    """Return the table of contact outcomes of a force, in units in which its stiffness and all masses are 1."""
     return tabulate(unit_parameters(force), compiled_force(force.function))
 
 
 def unit_parameters(force: Force) -> Any:
-    """Return one record of PARAMETERS for a law in its own units: all masses are 1, and so should its stiffness be."""
+    """Return one record of PARAMETERS for contacts of a force in its own units: all masses are 1.
+
+    The caller passes a force whose stiffness is 1, too.
+    """
     p = SimpleNamespace(m=1.0, m_1=1.0, m_eff=1.0, per_m_eff=1.0, speed_floor=1.0)
     _set_force(p, force, 1.0)
     return _parameters(p)
@@ -136,7 +142,10 @@ def unit_parameters(force: Force) -> Any:
 
 @lru_cache(maxsize=32)
 def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
-    """Return the two linear systems and the fastest of their modes; they do not depend on gap and contact law."""
+    """Return the two linear systems, sphere loose and attached, and the rate of their fastest mode [1/s].
+
+    They do not depend on gap and contact law, so they are computed once while only those change.
+    """
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):
         matrix = state_matrix(c, kind, mass)

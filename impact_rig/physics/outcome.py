@@ -13,15 +13,15 @@
 # limitations under the License.
 """Tables of the outcomes of fast contacts: so few numbers determine an outcome that it is tabulated once per law.
 
-Let v0 be the approach speed, t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), δ_0 = v0 t_0, Δ = δ/δ_0, θ = t/t_0 and
-Δ' = dΔ/dθ, with F in units of m_eff δ_0/t_0². A contact of a law F ~ K δ^b without a scale of its own then obeys
+Let v0 be the approach speed, t_0 = (m_eff/K)^(1/(1+b)) v0^((1−b)/(1+b)), δ_0 = v0 t_0, Δ = δ/δ_0, θ = t/t_0 and Δ' =
+dΔ/dθ, with F in units of m_eff δ_0/t_0². A contact of a law F ~ K δ^b without a scale of its own then obeys
 
     Δ'' = −F(Δ, Δ') + η_0 + η_1 θ + η_2 θ² − α Δ − γ Δ',    Δ = 0, Δ' = 1 at θ = 0
     η_k = (k-th Taylor coefficient of a_r about the touch) t_0^(k+1) / v0,   α = t_0² σ k_1 / m_1,   γ = t_0 σ c_1 / m_1
 
-with a_r the relative acceleration that presses sphere and wall together. η_0 is a few hundredths and the rest, called
-perturbations here, are parts in a million. `perturbed_contact` integrates that equation, and `look_up` computes from
-the table
+with a_r the relative acceleration that presses sphere and wall together, and σ, k_1 and c_1 of the columns as in
+`contact_step`. η_0 is a few hundredths and the rest, called perturbations here, are parts in a million.
+`perturbed_contact` integrates that equation, and `look_up` computes from the table
 
     outcome = plain + η_1 ∂/∂η_1 plain   [+ (½ η_1² ∂²/∂η_1² + η_2 ∂/∂η_2 + α ∂/∂α + γ ∂/∂γ) plain]
 
@@ -48,27 +48,32 @@ from impact_rig.physics.contact_step import drop_dense_output, pair_at
 from impact_rig.physics.state import CONTACT_STEP, NOTHING, PARAMETERS, SEPARATED, STATE, TURNED, V1, VB, X1, XB, record
 
 SEPARATION, DURATION, LOST, PEAK, DEPTH, SUM, MOMENT = range(7)
-"""Outcomes, in units made of m_eff, v0 and t_0: separation speed, duration, energy lost, peak force, largest
-indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ."""
+"""Indices of the outcomes of a contact, which are in units made of m_eff, v0 and t_0: separation speed, duration,
+energy lost, peak force, largest indentation, ∫ Δ dθ and ∫ (θ_end − θ) Δ dθ.
+"""
 OUTCOMES = 7
 BY_ETA_1_SQUARED, BY_ETA_2, BY_STIFFNESS, BY_DAMPING = range(4)
-"""Further derivatives, of the first outcomes only: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
+"""Indices of the derivatives that only the first DECISIVE outcomes have in a table: ½ ∂²/∂η_1², ∂/∂η_2, ∂/∂α, ∂/∂γ."""
 DECISIVE = 3  # number of outcomes that have these derivatives
 SERIES_COUNT = 2 * OUTCOMES + 4 * DECISIVE
-"""Columns of the series: all outcomes, their derivatives by η_1, and the further derivatives of DECISIVE outcomes."""
+"""Number of columns of the series: all outcomes, their derivatives by η_1, and the further derivatives of the DECISIVE
+outcomes.
+"""
 COEFFICIENTS = 20
 _COEFFICIENTS_1, _COEFFICIENTS_2 = 14, 7  # of the derivatives, whose factors are below MOST_1 and MOST_2
 
 WIDEST = 0.1  # of |η_0|
 MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
-"""Largest η_1, of η_2, α and γ, and of η_3 (not tabulated): beyond them an outcome could change by 1e-10."""
+"""Limits of the use of a table: largest |η_1|, largest |η_2|, α and γ, and largest |η_3|, which is not tabulated.
+Beyond them an outcome could change by 1e-10, and the contact is integrated instead.
+"""
 _NARROWER = 0.8
 _NARROWINGS = 24
 _MARGIN = 1.1  # of the range in which the sphere leaves by itself, for the derivatives at its ends
 _WEAKEST = 0.3  # of the energy with which the sphere leaves: below it the outcome turns steep
 _TAIL = 1e-11  # of the largest coefficient
 RTOL = 1e-12
-"""Tolerance of the contacts that the table is computed from."""
+"""Relative tolerance with which the contacts are integrated that the table is computed from."""
 _PERTURBATION = 1e-4
 _MOST_STEPS = 400
 
@@ -94,9 +99,10 @@ def perturbed_contact(
     steps: Records,
     out: Reals,
 ) -> bool:
-    """Integrate one contact in its own units under η_0 and `perturbations` = (η_1, η_2, α, γ).
+    """Integrate one contact in its own units under η_0 and `perturbations` = (η_1, η_2, α, γ), see this module.
 
-    Fills `out`, shape (OUTCOMES,), and returns whether the sphere left.
+    Fills `out` with its outcome, shape (OUTCOMES,), and returns whether the sphere left the wall. `parameters`,
+    `states` and `steps` are one record each, and are modified.
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
@@ -139,7 +145,7 @@ def perturbed_contact(
 
 
 class Contacts:
-    """Contacts of one law in its own units.
+    """Integrated contacts of one law in its own units, from which its table is computed.
 
     Args:
         parameters: one record of PARAMETERS with the law's numbers, stiffness and masses 1; it is modified.
@@ -151,14 +157,20 @@ class Contacts:
         self._states, self._steps = record(STATE), record(CONTACT_STEP)
 
     def under(self, eta_0: float, perturbations: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
-        """Return whether the sphere left under η_0 and (η_1, η_2, α, γ), and the outcome, shape (OUTCOMES,)."""
+        """Return whether the sphere left the wall in a contact under η_0 and `perturbations`, and its outcome.
+
+        The perturbations are (η_1, η_2, α, γ), and the outcome has the shape (OUTCOMES,).
+        """
         out = np.empty(OUTCOMES)
         left = perturbed_contact(self._parameters, self._law, eta_0, perturbations, self._states, self._steps, out)
         raise_failure()
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return whether every contact ended, and f' and ½ f'' by one of (η_1, η_2, α, γ), from differences."""
+        """Return whether the sphere left in every contact, and f' and ½ f'' of the outcomes f at η_0, from differences.
+
+        The derivatives are those by perturbation number `which` of (η_1, η_2, α, γ).
+        """
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)
         perturbation = MOST_1 if which == 0 else _PERTURBATION
@@ -170,13 +182,16 @@ class Contacts:
         return left and left_up and left_down, (up - down) / (2.0 * perturbation), half_second
 
     def rebound_squared(self, eta_0: float) -> float:
-        """Return twice the energy with which the sphere leaves under η_0, 0 if it does not leave by itself."""
+        """Return the square of the speed with which the sphere leaves under η_0, 0 if it does not leave by itself.
+
+        In the contact's own units, in which the approach speed is 1, this is twice the energy of the rebound.
+        """
         left, out = self.under(eta_0, np.zeros(4))
         return float(out[SEPARATION] * out[SEPARATION]) if left else 0.0
 
 
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
-    """Return the table of a law, TABLE shape (1,), with the widest range in which the series hold.
+    """Return the table of contact outcomes of a law, TABLE shape (1,), with the widest range in which the series hold.
 
     Args:
         parameters: one record of the law's numbers in its own units, stiffness and masses 1; it is modified.
@@ -199,9 +214,10 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the series over a range of η_0, shape (COEFFICIENTS, SERIES_COUNT); None if they do not hold.
+    """Return the Chebyshev series of outcomes and derivatives over a range of η_0; None if they do not hold there.
 
-    Less important columns are computed from fewer contacts.
+    They hold if the sphere leaves in every contact and the last coefficients are negligible. The shape is
+    (COEFFICIENTS, SERIES_COUNT). Less important columns are computed from fewer contacts.
     """
     series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 
@@ -230,13 +246,16 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 
 
 def _nodes(limits: tuple[float, float], count: int) -> list[float]:
-    """Return the nodes of a Chebyshev series within limits."""
+    """Return the `count` values of η_0 within `limits` at which a Chebyshev series of as many terms is determined."""
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     return [middle + half * sincos(PI * (j + 0.5) / count)[1] for j in range(count)]
 
 
 def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients of the Chebyshev series through the values at its nodes, shape (degree, columns)."""
+    """Return the coefficients of the Chebyshev series through `values` at its nodes, one series per column.
+
+    Both have the shape (number of nodes, columns).
+    """
     series, count = np.zeros_like(values), len(values)
     for n in range(count):
         for j in range(count):
@@ -247,10 +266,11 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
-    """Compute `table.outcome` for the contact that begins at s.
+    """Compute from the table the outcome of the contact that begins at s, in its own units, as `table.outcome`.
 
-    `step` must be expanded about s, and `t_0` is the contact's time scale [s]. Returns whether the contact is tabulated
-    and ends within `time_left` seconds and while the polynomials of `step` hold.
+    `step` must be expanded about s, and `t_0` is the contact's time scale [s]. Returns whether the contact is in the
+    range of the table and ends within `time_left` seconds and while the polynomials of `step` hold. Otherwise it must
+    be integrated.
     """
     speed = s.speed
     if speed < p.speed_floor:  # a limited approach speed would be a scale of its own
@@ -288,7 +308,10 @@ def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_
 
 @kernel
 def apply_outcome(p: Record, table: Record, s: Record, step: Record, t_0: float) -> None:
-    """Move s from the touch to the end of the contact that `look_up` computed."""
+    """Move the state s from the touch to the end of its contact, by the outcome that `look_up` computed.
+
+    `t_0` is the contact's time scale [s].
+    """
     found, speed = table.outcome, s.speed
     delta_0 = speed * t_0
     duration, separation = found[DURATION] * t_0, found[SEPARATION] * speed

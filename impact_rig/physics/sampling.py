@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Evaluation of a trajectory after the fact, at any instants or as polynomials; instruments only read it.
+"""Evaluation of a trajectory after its simulation, at any instants or as polynomials; it never changes the trajectory.
 
 In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight. A sample
 then costs a dozen multiplications and does not depend on which other samples are requested. Inside a contact the step
 is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the contact
-force, F_c that of the columns and `dent` the residual indentation,
+force, F_c that of the columns, δ the indentation and `dent` the residual one,
 
     x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + `dent` + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
@@ -106,7 +106,10 @@ OF_CURRENT, OF_FORCE_LEFT, OF_FORCE_RIGHT = range(9, 12)
 QUANTITIES = (
     "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
 )  # fmt: skip
-"""Quantities that a motion can be evaluated for, SI; OF_X_1 is the index of x_1 here, X1 that in a structural state."""
+"""Names of the quantities for which a motion can be evaluated, SI: displacement, velocity and acceleration of inferior
+base (b), superior base (1) and sphere (2), current of the coil, and the forces of both walls. OF_X_1 is the index of
+x_1 here, X1 that in a structural state.
+"""
 
 _INTERVAL_RADIANS = 0.5  # of the fastest motion per polynomial: the first neglected term is 0.25^14 / 14! = 4e-20
 _MOST_STEPS = 500
@@ -119,14 +122,14 @@ _LENGTH_CORRECTIONS = 2  # of a step's length: the dense output is off by parts 
 
 
 class Trajectory(NamedTuple):
-    """The history of consecutive drive segments.
+    """Simulated motion of consecutive drive segments: the drive and the history of states.
 
     Attributes:
-        segments: the drive.
-        first_tick: number of the first tick.
-        first_segment: row of each tick's first segment, and the number of segments.
+        segments: records of SEGMENT: the drive.
+        first_tick: number of the first tick, counted since the reset.
+        first_segment: for each tick the index of its first segment; last, the number of segments.
         history: records of STATE; the last one is the state after all segments.
-        first_state: row of each segment's first state, and that of the last record.
+        first_state: for each segment the row of `history` with its first state; last, the row of the last record.
     """
 
     segments: NDArray[np.void]
@@ -140,13 +143,13 @@ TRAJECTORY = Fields(Trajectory, (SEGMENT, int, INTEGERS, STATE, INTEGERS))
 
 
 class Query(NamedTuple):
-    """Quantities requested at instants.
+    """Request for the values of some quantities at instants, with room for the answer.
 
     Attributes:
-        wanted: indices in QUANTITIES, shape (q,).
-        tick: shape (n,).
+        wanted: indices of the quantities in QUANTITIES, shape (q,).
+        tick: number of the tick of each instant, counted since the reset, shape (n,).
         offset: time since the tick's start [s], shape (n,).
-        out: shape (q, n).
+        out: the values, which `sample` fills in, shape (q, n).
     """
 
     wanted: NDArray[np.int64]
@@ -159,14 +162,14 @@ QUERY = Fields(Query, (INTEGERS, INTEGERS, REALS, REALS_2D))
 
 
 class Spans(NamedTuple):
-    """Quantities requested as polynomials on pieces.
+    """Request for some quantities as polynomials on pieces of time, with room for the answer.
 
     Attributes:
-        wanted: indices in QUANTITIES, shape (q,).
-        tick: shape (n,).
-        start: time since the tick's start [s], shape (n,).
-        end: likewise.
-        out: coefficients in x = −1 … 1, constant first, shape (q, n, NODES).
+        wanted: indices of the quantities in QUANTITIES, shape (q,).
+        tick: number of the tick of each piece, counted since the reset, shape (n,).
+        start: start of the piece since the tick's start [s], shape (n,).
+        end: end of the piece since the tick's start [s], shape (n,).
+        out: the coefficients in x = −1 … 1, constant first, which `fit` fills in, shape (q, n, NODES).
     """
 
     wanted: NDArray[np.int64]
@@ -181,22 +184,22 @@ SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 @functools.cache
 def places(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return the indices of some quantities in QUANTITIES, shape (names,)."""
+    """Return the index of each of the named quantities in QUANTITIES, shape (names,)."""
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 
 class SamplingWorkspace(NamedTuple):
-    """Scratch memory of the sampler.
+    """Scratch memory of the kernels that evaluate a motion.
 
     Attributes:
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         steps: records of STATE: the steps of a tabulated contact, and one more.
-        polynomials: one for each quantity, shape (QUANTITIES, PIECE_TERMS).
+        polynomials: Taylor polynomial of each quantity, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
-        powers: (λ half)^k / k! of one rate λ, real and imaginary part, shape (2, PIECE_TERMS).
+        powers: (λ half)^k / k! of a rate λ and a half length, real and imaginary part, shape (2, PIECE_TERMS).
         pulse: state of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
-        pulse_row: row of the state where that contact begins, shape (1,).
+        pulse_row: row of the history where that contact begins, −1 for none; shape (1,).
         tick: tick of each of a piece's nodes, shape (NODES,).
         offset: time of each node since its tick's start [s], shape (NODES,).
         values: all quantities at a piece's nodes, shape (QUANTITIES, NODES).
@@ -222,11 +225,11 @@ SAMPLING_WORKSPACE = Fields(
 
 
 SAMPLED = MODEL, TRAJECTORY, SAMPLING_WORKSPACE
-"""Argument types of a kernel that evaluates a motion, see `Motion.sampled`."""
+"""Types of the first arguments of a kernel that evaluates a motion; `Motion.sampled` returns these arguments."""
 
 
 def new_sampling_workspace() -> SamplingWorkspace:
-    """Return scratch memory."""
+    """Return new scratch memory for the kernels that evaluate a motion."""
     n = len(QUANTITIES)
     return SamplingWorkspace(
         record(FLIGHT),
@@ -245,7 +248,10 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 @kernel
 def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
-    """Return (index in y, order of the derivative, whether it is the drive itself) of a quantity of the structure."""
+    """Return how to compute a quantity: (index in y, order of the derivative, whether it is the drive itself).
+
+    The quantity is one of the structure, and y the structural state.
+    """
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
     if quantity == OF_CURRENT:
@@ -258,7 +264,10 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 
 @kernel
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
-    """Fill `workspace.powers` with (λ half)^k / k!; return their number, which is two for λ = 0, a straight line."""
+    """Fill `workspace.powers` with (λ half)^k / k! for λ = `rate`, the factors of a Taylor series; return their number.
+
+    It is two for λ = 0, because a drive of that rate is a straight line.
+    """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
     for k in range(terms):
@@ -278,9 +287,10 @@ def _add_series(
     order: int,
     half: float,
 ) -> None:
-    """Add the Taylor coefficients in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
+    """Add to `poly` the Taylor series in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
 
-    The first `terms` of `workspace.powers`, for the same rate λ, are used.
+    λ is `rate`, and τ the time since the polynomial's anchor. The first `terms` of `workspace.powers`, filled for the
+    same λ, are used.
     """
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -302,7 +312,10 @@ def _expand_flight(
     since: float,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill the Taylor polynomial of a quantity of the structure, `since` seconds after the start of the flight."""
+    """Fill `poly` with the Taylor polynomial of a quantity about the instant `since` seconds after the flight's start.
+
+    The quantity is a motion of the structure or the drive itself.
+    """
     poly[:] = 0.0
     t = flight.t_b + since
     place, order, is_drive = _place_and_order(p, quantity)
@@ -326,14 +339,18 @@ def _expand_flight(
 
 @kernel
 def _is_of_structure(p: Record, quantity: int) -> bool:
-    """Return whether a quantity is a motion of the structure or its drive, so that it has a polynomial in flight."""
+    """Return whether a quantity is a motion of the structure or its drive, and so has a Taylor polynomial in flight."""
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
     return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
 
 
 @kernel
 def _structure_quantity(s: Record, quantity: int) -> int:
-    """Return the quantity of the structure from which this quantity follows in flight."""
+    """Return the quantity whose Taylor polynomial gives this quantity in the flight from s.
+
+    While the sphere is ATTACHED, its motion and the force of a wall follow from the superior base. Otherwise every
+    quantity stands for itself.
+    """
     if s.phase == ATTACHED:  # one body: the sphere moves with the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
             return quantity - 1  # x_1, v_1, a_1 precede x_2, v_2, a_2 in QUANTITIES
@@ -344,7 +361,11 @@ def _structure_quantity(s: Record, quantity: int) -> int:
 
 @kernel
 def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: float, since: float) -> float:
-    """Return a quantity in the flight from s, by its polynomial or, if it has none, by the sphere's parabola."""
+    """Return the value of a quantity `since` seconds after the start of the flight from s.
+
+    `poly` is the quantity's Taylor polynomial, and `tau` the time since its anchor [s]. The loose sphere has none and
+    follows a parabola.
+    """
     if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
     if s.phase == ATTACHED:
@@ -369,8 +390,8 @@ def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: f
 def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Records) -> int:
     """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
 
-    The last of them is the end of the contact, or the place where a step failed or the room ran out. The initial state
-    is overwritten.
+    The simulation took the outcome of this contact from a table and has no states within it. The last row is the end of
+    the contact, or the place where a step failed or the room ran out. The initial state is overwritten.
     """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
@@ -388,7 +409,7 @@ def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Reco
 
 @kernel
 def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> int:
-    """Return the last row in [first_row, end_row) whose state is not after t, or first_row."""
+    """Return the last row in [first_row, end_row) whose state is not after t [s], or `first_row` if all are."""
     while end_row - first_row > 1:
         middle_row = (first_row + end_row) // 2
         if history[middle_row].t <= t:
@@ -400,9 +421,9 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 
 @kernel
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
-    """Return the length in χ of a step that takes about `since` seconds, by the dense output of the whole step.
+    """Return the length in χ of a contact's step that takes about `since` seconds, by the whole step's dense output.
 
-    `s` is the state at the start of the step; `end_point`, the end of the full step, is (its duration [s], w, δ').
+    `s` is the state at the start of the step; `end_point`, the end of the whole step, is (its duration [s], w, δ').
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])
@@ -425,7 +446,10 @@ def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, flo
 def _solve_up_to(
     model: Model, s: Record, step: Record, end_point: tuple[float, float, float], since: float
 ) -> tuple[float, float]:
-    """Return (w, δ') `since` seconds after the start of a step, by solving the step so that it ends there."""
+    """Return (w, δ') `since` seconds after the start of a contact's step, by solving a shorter step that ends there.
+
+    `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ.
+    """
     if s.h == 0.0 or since <= 0.0:
         return s.w, s.speed
     h = s.h
@@ -449,10 +473,11 @@ def _quantities_in_contact(
     solved_there: bool,
     out: Reals,
 ) -> None:
-    """Fill all quantities at a point of a contact's step, which begins at s; `step` is expanded there.
+    """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s; `step` is expanded there.
 
-    `point` is (time since the start of the step [s], w, δ'). `solved_there` is true if the step has been solved to end
-    at the point. The correction of the pair by the indentation is then known; otherwise that millionth is left out.
+    `point` is (time since the start of the step [s], w, δ'), with w the square root of the indentation δ.
+    `solved_there` is true if the step has been solved to end at the point. Only then is the effect of the indentation
+    on the structure through the columns known; otherwise that millionth is left out.
     """
     p, side = model.parameters[0], s.side
     since, w, speed = point
@@ -485,7 +510,7 @@ def _quantities_in_contact(
 
 @kernel
 def _solve_again(model: Model, f: DriveSegment, s: Record, step: Record) -> tuple[float, float, float]:
-    """Expand `step` about s and solve it again; return its end: (its duration [s], w, δ')."""
+    """Expand `step` about s and solve it again with its length `s.h`; return its end: (its duration [s], w, δ')."""
     p = model.parameters[0]
     expand(p, f, s, step)
     begin_step(p, model.law, s, step)
@@ -508,7 +533,7 @@ def _sample_contact(
     query: Query,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill the query's instants start … stop − 1, which are all in the contact whose state is `history[row]`."""
+    """Fill `query.out` at the instants start … stop − 1, all of them in the contact whose state is `history[row]`."""
     step, s = workspace.step[0], history[row]
     steps, first_row, end_row, solved_row = history, row, row + 1, -1
     if s.tabulated:
@@ -531,7 +556,7 @@ def _sample_contact(
 
 @kernel
 def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) -> Record:
-    """Prepare the closed form of the flight that begins at s; return the system that moves."""
+    """Prepare the closed form of the flight that begins at s in `flight`; return the linear system that moves."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
     if renewed:
@@ -546,7 +571,7 @@ def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) ->
 def _sample_flight(
     model: Model, f: DriveSegment, s: Record, start: int, stop: int, query: Query, workspace: SamplingWorkspace
 ) -> None:
-    """Fill the query's instants start … stop − 1, which are all in the flight that begins at s."""
+    """Fill `query.out` at the instants start … stop − 1, all of which are in the flight that begins at s."""
     p, flight = model.parameters[0], workspace.flight[0]
     system = begin_flight_at(model, f, s, flight)
     expanded_interval = -1
@@ -568,7 +593,11 @@ def _sample_flight(
 
 @kernel
 def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int, int]:
-    """Return (row of an instant's segment, row of the state there, row after the segment's last state)."""
+    """Return (row of the segment, row of the state, row after the segment's last state) for an instant.
+
+    `tick` counts from the first of the trajectory, and `offset` from the start of that tick [s]. The motion at the
+    instant continues from the state.
+    """
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while end_segment - segment > 1:
         middle_segment = (segment + end_segment) // 2
@@ -582,7 +611,7 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 
 @entry(*SAMPLED, QUERY, returns=bool)
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
-    """Fill `query.out` and return whether the trajectory contains all requested ticks.
+    """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
     Consecutive instants in one row of the history are evaluated together.
     """
@@ -622,7 +651,7 @@ def _sample(model: Model, trajectory: Trajectory, query: Query, workspace: Sampl
 def _fit_flight(
     p: Record, system: Record, f: DriveSegment, flight: Record, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill in the polynomials of a piece in the prepared flight, for all quantities of the structure."""
+    """Fill `spans.out` with polynomials of piece i in the prepared flight, for quantities of the structure."""
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
     since_middle, wanted, poly = t_middle - flight.t_b, spans.wanted, workspace.polynomials
@@ -658,7 +687,10 @@ def _fit_flight(
 def _fit_contact(
     model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill in the values at the nodes of a piece within one step of a contact, from the step's dense output."""
+    """Fill `workspace.values` with the quantities at the nodes of piece i, which is within one step of a contact.
+
+    They come from the dense output of the step that begins at `history[row]`.
+    """
     step, s = workspace.step[0], history[row]
     t_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin, 0.5 * (spans.end[i] - spans.start[i])
     end_point = _solve_again(model, f, s, step)
@@ -674,7 +706,12 @@ def _fit_contact(
 
 @kernel
 def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float, depth: float, speed: float) -> float:
-    """Return δ'' in a tabulated contact; `step` must be expanded about the touch."""
+    """Return δ'' [m/s²] in a tabulated contact, `since` seconds after the touch, for the indentation and its rate.
+
+    These are `depth` [m] and `speed` [m/s].
+
+    `step` must be expanded about the touch.
+    """
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
     elastic, lossy, _, _, _ = force_at(p, model.law, per_v0, 0.0, w, speed, step)
@@ -687,7 +724,10 @@ def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float,
 def _integrate_pulse(
     model: Model, step: Record, per_v0: float, pulse: Reals, since_end: float, longest_step: float
 ) -> None:
-    """Integrate `pulse` = (time since the touch, δ, δ') up to `since_end` by the fourth-order Runge–Kutta method."""
+    """Move `pulse` = (time since the touch [s], δ, δ') of a tabulated contact on to the time `since_end`.
+
+    The equation of motion is integrated by the fourth-order Runge–Kutta method, in steps of at most `longest_step` [s].
+    """
     steps = math.ceil((since_end - pulse[0]) / longest_step)
     for n in range(steps):
         since, depth, speed = pulse[0], pulse[1], pulse[2]
@@ -711,7 +751,7 @@ def _integrate_pulse(
 def _fit_pulse(
     model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill in the values at the nodes of a piece of a tabulated contact, by integrating the contact to them.
+    """Fill `workspace.values` with the quantities at the nodes of piece i, by integrating a tabulated contact to them.
 
     The nodes are densest at the ends of each piece, and so of the contact, where the force has its kinks. The error of
     the force is at most 3e-4 of its peak.
@@ -733,7 +773,7 @@ def _fit_pulse(
 
 @kernel
 def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, workspace: SamplingWorkspace) -> None:
-    """Fill in the values at the nodes of any other piece by sampling them.
+    """Fill `workspace.values` with the quantities at the nodes of piece i by sampling them: the fallback of `fit`.
 
     Such a piece holds more than one flight or step, or is too long, or asks for the sphere or a force in flight.
     """
@@ -745,7 +785,9 @@ def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, wor
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
-    """Fill `spans.out` and return whether the trajectory contains all requested ticks.
+    """Fill `spans.out` with polynomials of the quantities on the pieces; return whether all their ticks are there.
+
+    A tick is there if the trajectory contains it.
 
     In flight the fastest motion covers at most 2 radians on either side of a piece's middle. There the series leaves
     out 2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces are fitted through
@@ -792,14 +834,16 @@ def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingW
 
 
 TABULATED_PIECES = 3
-"""Number of pieces in which a tabulated contact is smooth enough for the instruments' polynomials."""
+"""Number of pieces into which `refine` divides a tabulated contact, so that the instruments' polynomials describe each.
+"""
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, returns=int)
 def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill in tick and offset [s] of the instants between which every quantity is smooth; return their number.
 
-    The arrays must have room for TABULATED_PIECES instants per state.
+    These are the states of the history, and instants within tabulated contacts. The arrays must have room for
+    TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

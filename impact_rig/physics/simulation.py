@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Simulation`: the rig's mechanics, which advances by drive segments; `Motion`: the result of an advance."""
+"""Simulation of the rig's mechanics: `Simulation` advances by drive segments, `Motion` is the result of an advance."""
 
 from __future__ import annotations
 
@@ -73,10 +73,11 @@ SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 
 
 class Motion:
-    """The trajectory of consecutive ticks, numbered from `first_tick`: each one drive segment, or several of a stream.
+    """Motion of the rig over consecutive ticks, which `Simulation.advance` returns; it can be evaluated at any instant.
 
-    Times are (tick, offset into the tick), so no value depends on how the run was divided into advances. Motions that
-    are evaluated one after the other may share `work`, their scratch memory.
+    A tick is one drive segment, or several of a stream. Instants are (tick, offset into the tick), so no value depends
+    on how the run was divided into advances. Motions that are evaluated one after the other may share `work`, their
+    scratch memory.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
@@ -105,29 +106,41 @@ class Motion:
 
     @property
     def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
-        """Arguments of a kernel that evaluates this motion, of the types `sampling.SAMPLED`."""
+        """First arguments of a kernel that evaluates this motion, of the types `sampling.SAMPLED`."""
         return self._model, self._trajectory, self._sampling
 
     @property
     def last_tick(self) -> int:
-        """Number of the last tick, inclusive."""
+        """Number of the last tick of this motion, counted since the reset."""
         return self.first_tick + len(self.first_segment) - 2
 
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return all quantities (dtype `SAMPLE`, SI) at the instants, in their shape; ordered instants are fastest."""
+        """Return all quantities (dtype `SAMPLE`, SI) at instants (tick, offset into it), in their shape.
+
+        It is fastest if the instants are in order.
+
+        Raises:
+            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
+        """
         found = np.moveaxis(self.quantities(QUANTITIES, tick, offset_s), 0, -1)
         rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
         return rows
 
     def quantity(self, name: str, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one quantity of `SAMPLE` at the given instants, in their shape."""
+        """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in their shape.
+
+        Raises:
+            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
+        """
         column: NDArray[np.float64] = self.quantities((name,), tick, offset_s)[0]
         return column
 
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` at the given instants, shape (names, *instants); faster than one by one.
+        """Return some quantities of `SAMPLE`, in SI, at instants (tick, offset into it), shape (names, *instants).
+
+        This is faster than one by one.
 
         Raises:
             ValueError: an instant is in none of the motion's ticks, or the shapes differ.
@@ -171,7 +184,7 @@ class Motion:
         return out
 
     def cycles(self) -> NDArray[np.void]:
-        """Return the fundamentals of each tick, dtype `fundamental.CYCLE`.
+        """Return for each tick the complex amplitudes of both bases and the sphere's start, dtype `fundamental.CYCLE`.
 
         Raises:
             ValueError: a tick is not a single segment of one complete cycle of the drive.
@@ -201,8 +214,9 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Most rows of the history in one drive segment: flights and steps of contacts. The limit is checked when the history
-is full; a chattering sphere makes some ten rows a segment.
+"""Largest number of rows of the history, flights and steps of contacts, that one drive segment may fill. The limit is
+checked when the history is full, and ends `Simulation.advance` with an error; a chattering sphere makes some ten rows a
+segment.
 """
 
 _WHOLE = 1e-9  # largest error of the phase of a complete cycle [rad]
@@ -214,9 +228,9 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 
 @attrs.frozen
 class EnergyAccount:
-    """Energies since the ledger began [J], each integrated independently: `imbalance` measures the integration error.
+    """Energies since the account began [J], each integrated independently: `imbalance` measures the integration error.
 
-    The ledger begins at a reset, another configuration, a pluck or another place of the sphere.
+    The account begins at a reset, another configuration, a pluck, or when the state is set.
 
     Attributes:
         work: work of the drive (coil force, coil voltage or prescribed base).
@@ -224,7 +238,7 @@ class EnergyAccount:
         shaker: loss in the suspension's damping and in the coil.
         contact: loss in contacts.
         friction: loss by the guide's friction.
-        stored: kinetic and potential energy, minus its value when the ledger began.
+        stored: kinetic and potential energy, minus its value when the account began.
     """
 
     work: float
@@ -236,12 +250,12 @@ class EnergyAccount:
 
     @property
     def imbalance(self) -> float:
-        """Return work − losses − stored: zero except for integration errors."""
+        """Work minus losses minus stored energy [J]: zero except for integration errors."""
         return self.work - self.columns - self.shaker - self.contact - self.friction - self.stored
 
 
 class Simulation:
-    """The configured rig's mechanics, with exact flights and integrated contacts: deterministic, with bounded memory.
+    """Simulation of the rig's mechanics with exact flights and integrated contacts; deterministic, with bounded memory.
 
     Args:
         config: configuration of the rig.
@@ -266,22 +280,25 @@ class Simulation:
 
     @property
     def config(self) -> MechanicsSetup:
-        """The active configuration."""
+        """Active configuration of the rig's mechanics."""
         return self._config
 
     @property
     def parameters(self) -> np.record:
-        """The active numbers of the equations of motion, SI."""
+        """Active constants of the equations of motion, SI: one record of PARAMETERS."""
         record_: np.record = self._model.parameters[0]
         return record_
 
     @property
     def realised_restitution(self) -> float:
-        """The restitution that the configured contact law really gives."""
+        """Restitution that the configured contact law really gives between two free bodies."""
         return contact_laws.from_config(self._config.contact).realised_restitution()
 
     def reset(self) -> None:
-        """Set everything to rest at zero, the sphere at its start, and release a locked base."""
+        """Set structure and shaker to rest at zero, the sphere to its start, and the tick to 0.
+
+        A base that `pluck` locked is released.
+        """
         if self.locked:
             self._model, self.locked = build(self._config, self._rtol), False
         self._begin(np.zeros(STRUCTURE))
@@ -290,7 +307,7 @@ class Simulation:
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
         """Change the configuration: the structure keeps its motion, and the sphere is at rest at its start again.
 
-        A locked base stays locked.
+        With another kind of drive the structure starts at rest at zero as well. A base locked by `pluck` stays locked.
 
         Args:
             config: the new configuration.
@@ -308,7 +325,10 @@ class Simulation:
         self._begin(y)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the base and release the superior base at rest from a displacement: a free decay, until `reset`."""
+        """Lock the inferior base at zero and release the superior base at rest from a displacement: a free decay.
+
+        The base stays locked, whatever the drive, until `reset`.
+        """
         self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
         y = np.zeros(STRUCTURE)
@@ -324,7 +344,10 @@ class Simulation:
         x_b: float = 0.0,
         v_b: float = 0.0,
     ) -> None:
-        """Set the state: superior base, sphere relative to it (d = x_2 − x_1), and base of a free shaker; SI."""
+        """Set the state (SI): superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
+
+        x_b and v_b have no effect if the inferior base is prescribed.
+        """
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
         self._begin(y)
@@ -332,9 +355,10 @@ class Simulation:
         self._stored = self.stored_energy()
 
     def state(self) -> NDArray[np.float64] | None:
-        """Return x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate after the last segment, shape (7,).
+        """Return the state after the last segment, SI, shape (7,), or None during a contact.
 
-        None during a contact: its force depends on how the contact began, which these numbers do not contain.
+        The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. The force of a contact also
+        depends on how the contact began, which these numbers do not contain.
         """
         s = self._work.states[0]
         if s["phase"] == CONTACT:
@@ -342,7 +366,11 @@ class Simulation:
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Continue from a state that `state` returned; a sphere at rest on a wall stays until the wall pulls away."""
+        """Continue from the seven numbers of a state that `state` returned.
+
+        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. The energy account begins
+        again.
+        """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
         s = self._work.states[0]
@@ -403,19 +431,28 @@ class Simulation:
         return motion
 
     def copy(self) -> Simulation:
-        """Return an independent copy; the two share scratch memory, so advance them one after the other."""
+        """Return an independent copy of the simulation in its present state.
+
+        The two share scratch memory, so advance them one after the other.
+        """
         twin = copy.copy(self)
         twin._work = self._work._replace(states=joined([self._work.states]), ledger=joined([self._work.ledger]))
         return twin
 
     def energy(self) -> EnergyAccount:
-        """Return the energy account; without `account` it contains the losses of contacts only."""
+        """Return the energies since the account began [J].
+
+        Without `account`, its work and its losses outside the contacts are zero.
+        """
         ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
     def stored_energy(self) -> float:
-        """Return kinetic plus potential energy [J], at the end of the last segment."""
+        """Return the kinetic and potential energy of the rig [J] at the end of the last segment.
+
+        It includes the energy of the coil's field and that of a contact's indentation.
+        """
         p, s, y = self._model.parameters[0], self._state, self._structure()
         stretch = y[X1] - y[XB]
         total = 0.5 * p.m_1 * y[V1] * y[V1] + 0.5 * p.k_1 * stretch * stretch
@@ -433,7 +470,7 @@ class Simulation:
 
     @property
     def _state(self) -> np.record:
-        """The state, its fields by name."""
+        """Current state, a record with fields as attributes."""
         record_: np.record = with_fields(self._work.states)[0]
         return record_
 
@@ -446,7 +483,10 @@ class Simulation:
         self._stored = self.stored_energy() if y.any() else 0.0  # the sphere is at rest
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
-        """Set the sphere; if the guide has friction, a sphere at rest is held and a sliding one is braked."""
+        """Set the sphere to d = x_2 − x_1 [m] with the rate d_rate [m/s] relative to the superior base.
+
+        If the guide has friction, a sphere at rest is held and a sliding one is braked.
+        """
         p, s = self._model.parameters[0], self._state
         s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
         if p.friction_acceleration > 0.0 and p.sphere_present:
@@ -454,7 +494,7 @@ class Simulation:
             s.slide = np.sign(d_rate)
 
     def _structure(self) -> NDArray[np.float64]:
-        """Return y = (x_1, v_1, x_b, v_b, i) in any phase, shape (STRUCTURE,)."""
+        """Return the structural state y = (x_1, v_1, x_b, v_b, i) in any phase, SI, shape (STRUCTURE,)."""
         p, s = self._model.parameters[0], self._state
         y: NDArray[np.float64] = s.y.copy()
         if s.phase == CONTACT:
@@ -464,12 +504,15 @@ class Simulation:
 
 
 def _grown(work: Workspace) -> Workspace:
-    """Return a workspace with a larger history and the same contents."""
+    """Return a workspace with the same contents and more room for the history and the impacts."""
     return work._replace(history=_longer(work.history, STATE), impacts=_longer(work.impacts, IMPACT))
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
-    """Return records with more room; NumPy's copy, field by field, takes twelve times as long."""
+    """Return a copy of records with more room.
+
+    It is copied as bytes, because NumPy's copy, field by field, takes twelve times as long.
+    """
     grown = room(_GROWTH * len(rows), kind)
     grown.view(np.uint8)[: rows.nbytes] = rows.view(np.uint8)
     return grown

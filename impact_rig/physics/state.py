@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Kernel records: parameters of the equations, state of the rig, and workspaces.
+"""Records of the kernels: parameters of the equations, state of the rig, and workspaces.
 
 Everything is a record with named fields in SI units. A field has one unit; if its meaning depends on the phase, the
 comment next to it explains how. A record is an element of a recarray, so compiled code and plain Python both access a
@@ -31,25 +31,32 @@ from impact_rig.kernels import with_fields
 from impact_rig.physics.collocation import STAGES
 
 FREE, CONTACT, ATTACHED = range(3)
-"""Phases: the sphere is loose, touches a wall that yields, or is one body with the superior base (a flight as well)."""
+"""Phases of the motion: the sphere is loose (FREE), touches a wall that yields (CONTACT), or moves with the superior
+base as one body (ATTACHED), which is a flight as well.
+"""
 
 NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
-"""Ends of a step of a contact (TURNED, RELOADED, or NOTHING), or of a phase; after PAUSED the same phase continues.
+"""Ends of a step of a contact (TURNED, RELOADED, NOTHING without an event, FAILED without a solution), or of a phase of
+the motion (the others). After PAUSED the same phase continues.
 
-See `contact_phase` and the table of `event_loop`."""
+See `contact_phase` and the table of `event_loop`.
+"""
 
 X1, V1, XB, VB, COIL = range(5)
-"""Indices in a structural state y: superior base [m], [m/s], inferior base [m], [m/s], current i of the coil [A].
+"""Indices of a structural state y: position and velocity of the superior base [m], [m/s], those of the inferior base
+[m], [m/s], current i of the coil [A].
 
 A prescribed base has the first two only, a current drive the first four.
 """
 STRUCTURE = 5
-"""Length of y."""
+"""Number of entries of a structural state y."""
 
 ORDERS = 6
-"""Number of derivatives of x_1 for which a flight has terms: it evaluates 0 … 4, and bounds the next one."""
+"""Number of derivatives of x_1, from the zeroth on, for which a flight has terms: it evaluates 0 … 4, and bounds the
+next.
+"""
 STEP_TERMS = 12
-"""Taylor terms of the structure's motion within one step of a contact."""
+"""Largest number of Taylor terms of the structure's motion within one step of a contact."""
 
 STATE = np.dtype(
     [
@@ -58,16 +65,16 @@ STATE = np.dtype(
         ("y", "f8", (STRUCTURE,)),  # x_1, v_1, x_b, v_b, i [m, m/s, m, m/s, A]; in a contact x_1* and v_1*, the pair's
         ("d", "f8"),  # x_2 − x_1 [m]; in a contact that at the touch
         ("d_rate", "f8"),  # rate of d [m/s]; 0 in a contact and while ATTACHED
-        ("slide", "f8"),  # the way the sphere slides on a guide with friction, −1, 0 or 1; at PARTED the way it parts
+        ("slide", "f8"),  # direction in which the sphere slides on a guide with friction: −1, 0 or 1; at PARTED, parts
         ("side", "f8"),  # wall that is touched or presses: −1 left, 1 right, 0 none
         ("w", "f8"),  # in a contact √δ, the square root of the indentation [m^0.5]
         ("speed", "f8"),  # in a contact δ', the rate of the indentation [m/s], positive while it grows
         ("deepest_w", "f8"),  # in a contact the largest w so far [m^0.5]
-        ("per_v0", "f8"),  # in a contact 1 over its approach speed, which is floored [s/m]
+        ("per_v0", "f8"),  # in a contact 1 over its approach speed, at most 1 over `speed_floor` [s/m]
         ("tabulated", "i8"),  # 1: from here to the next state the motion is one contact looked up in the table
         ("h", "f8"),  # length in χ of the contact's step that starts here [s/m^0.5], 0 where none does
-        ("dent", "f8"),  # depth at which a wall let the sphere go, until it is out of there [m]
-        ("dent_side", "f8"),  # which wall that is: −1 left, 1 right
+        ("dent", "f8"),  # residual indentation where a wall let the sphere go, until the sphere has left it [m]
+        ("dent_side", "f8"),  # wall with that residual indentation: −1 left, 1 right
         ("next_h", "f8"),  # length in χ that the step control proposes [s/m^0.5], 0 where a contact has just begun
         ("touch_tick", "i8"),  # number of the tick in which the contact began
         ("touch_offset", "f8"),  # when in that tick it began [s]
@@ -82,14 +89,16 @@ STATE = np.dtype(
 
 LEDGER = np.dtype(
     [
-        ("work", "f8"),  # done by the drive since then [J]
+        ("work", "f8"),  # work of the drive [J]
         ("columns", "f8"),  # lost in the columns' damping [J]
         ("shaker", "f8"),  # lost in the damping of the inferior base's suspension and in the coil [J]
-        ("contact", "f8"),  # lost in contacts, less what the least speeds added [J]
+        ("contact", "f8"),  # lost in contacts, less what raising a speed to `touch_speed` added [J]
         ("friction", "f8"),  # lost by friction of the guide [J]
     ]
 )
-"""Energies since the reset, or since another configuration, a pluck or another place of the sphere."""
+"""Record of the energies since the account began: at the reset, another configuration, a pluck, or when the state was
+set.
+"""
 
 IMPACT = np.dtype(
     [
@@ -102,12 +111,13 @@ IMPACT = np.dtype(
         ("peak_indentation", "f8"),  # largest δ [m]
         ("impulse", "f8"),  # ∫ F dt [N s]
         ("duration", "f8"),  # from the touch to its end [s]
-        ("energy_lost", "f8"),  # in it [J]
+        ("energy_lost", "f8"),  # energy lost in it [J]
     ]
 )
-"""One row per finished contact, but for those with a rigid wall that were slower than `touch_speed`.
+"""Record of one finished contact. Contacts with a rigid wall that were slower than `touch_speed` get none.
 
-The columns of `blocks.IMPACTS`, with the instant as tick and offset."""
+The fields are the columns of `blocks.IMPACTS`, with the instant of the touch as tick and offset.
+"""
 
 COUNTS = np.dtype(
     [
@@ -117,7 +127,7 @@ COUNTS = np.dtype(
         ("ticks", "i8"),  # ticks that have begun
     ]
 )
-"""Used parts of the workspace since the last new call of the event loop."""
+"""Record of how much of a workspace has been filled since the present advance of the simulation began."""
 
 FLIGHT = np.dtype(
     [
@@ -127,9 +137,9 @@ FLIGHT = np.dtype(
         ("answer", "c16", (STRUCTURE,)),  # H, answer to a drive of constant amplitude [y per u]
         ("growth_answer", "c16", (STRUCTURE,)),  # G, answer to a drive whose amplitude grows [y s per u]
         ("steady", "c16", (STRUCTURE,)),  # P of y_p(t) = Im[(P + Q t) exp(jωt)] [as y]
-        ("growing", "c16", (STRUCTURE,)),  # Q of it [as y, per s]
+        ("growing", "c16", (STRUCTURE,)),  # Q of y_p [as y, per s]
         ("forced", "c16", (ORDERS,)),  # P of the k-th derivative of x_1 [m/s^k]
-        ("forced_growing", "c16", (ORDERS,)),  # Q of it [m/s^(k+1)]
+        ("forced_growing", "c16", (ORDERS,)),  # Q of the k-th derivative of x_1 [m/s^(k+1)]
         ("forced_size", "f8", (ORDERS,)),  # bound on that derivative's part in y_p within the segment [m/s^k]
         ("t_b", "f8"),  # when the flight began, since the start of the segment [s]
         ("friction_force", "f8"),  # constant force of the guide's friction on the structure [N]
@@ -142,7 +152,7 @@ FLIGHT = np.dtype(
     ],
     align=True,
 )
-"""State of the current flight."""
+"""Record of the current flight: its closed form, and where that was evaluated last."""
 
 POINT = 5  # values that a contact law returns for one point
 CONTACT_STEP = np.dtype(
@@ -182,18 +192,19 @@ CONTACT_STEP = np.dtype(
     ],
     align=True,
 )
-"""One step of a contact."""
+"""Record of one integration step of a contact: its Taylor polynomials, stages, Newton matrix and dense output."""
 
 
 def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
-    """Return zeroed rows of a record type, shape (rows,), whose elements have named fields in plain Python too."""
+    """Return zeroed records of a type, shape (rows,), whose elements have fields as attributes in plain Python, too."""
     return with_fields(np.zeros(rows, kind))
 
 
 PRESCRIBED, CURRENT, VOLTAGE = range(3)
 DRIVES = ("prescribed", "current", "voltage")
 SPHERE_LOOSE, SPHERE_ATTACHED = range(2)
-"""The linear systems: the superior base alone (mass m_1), and in phase ATTACHED with the sphere (m_1 + m)."""
+"""Indices of the linear systems: the superior base alone (mass m_1), and in phase ATTACHED with the sphere (m_1 + m).
+"""
 
 PARAMETERS = np.dtype(
     [
@@ -221,7 +232,7 @@ PARAMETERS = np.dtype(
         ("friction_acceleration", "f8"),  # μ g_0 of the guide [m/s²]
         ("stiffness", "f8"),  # the contact law's first number, K of F ~ K δ^b [N/m^b]
         ("factor", "f8"),  # its second number, by law: a [-], c [N s/m] or e² [-]; see `contact.law.Force`
-        ("restitution", "f8"),  # e that a rigid law rebounds with [-]
+        ("restitution", "f8"),  # restitution e of a rigid law [-]
         ("rigid", "i8"),  # 1 where a contact takes no time
         ("lets_go", "i8"),  # 1 where a contact ends as soon as its force would pull
         ("remembers", "i8"),  # 1 where the force depends on where the indentation turned
@@ -234,7 +245,7 @@ PARAMETERS = np.dtype(
     ],
     align=True,
 )
-"""The scalars of the equations of motion, SI."""
+"""Record of the constants of the equations of motion, SI; `model.build` computes it from a configuration."""
 
 SYSTEM = np.dtype(
     [
@@ -249,4 +260,4 @@ SYSTEM = np.dtype(
     ],
     align=True,
 )
-"""One linear system y' = M y + b_0 u + b_1 u', by its modes; see `linear`."""
+"""Record of one linear system y' = M y + b_0 u + b_1 u', by its modes; see `linear`."""

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The drive as a stream of samples: the buffer, the samples in effect, and the replacement of missing samples.
+"""Drive of a shaker as a stream of samples: the buffer, the samples in effect, and the replacement of missing samples.
 
 Sample k is k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold) or
 the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. The samples that have
@@ -37,11 +37,11 @@ from impact_rig.physics.flight import SEGMENT
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 SUM_TICKS = 100
-"""Interval at which the samples that took effect are summed up: one second."""
+"""Number of ticks (10 ms each) between two reports of a checksum of the samples that took effect: one second."""
 
 
 class Event(enum.StrEnum):
-    """Event in a stream."""
+    """Kind of an event in a stream: samples begin or cease to take effect, or a checksum of them is reported."""
 
     BEGIN = "begin"
     END = "end"
@@ -49,7 +49,10 @@ class Event(enum.StrEnum):
 
 
 class Happened(NamedTuple):
-    """An event, the sample it begins with, and a detail: the reason of an END, `count crc` of a SUM."""
+    """Event in a stream with the number of its first sample and a detail.
+
+    The detail is the reason of an END, and for a SUM `count crc`: how many samples took effect, and their CRC-32.
+    """
 
     event: Event
     sample: int
@@ -57,11 +60,13 @@ class Happened(NamedTuple):
 
 
 UNDERRUN, ENDED, STOPPED = "underrun", "ended", "stopped"
-"""Reasons for the end of a stream: a sample was late, the controller ended it, or the shaker was stopped."""
+"""Reasons for the end of a stream, given in its END event: a sample was late, the controller ended the stream, or the
+shaker was stopped.
+"""
 
 
 class StreamState(enum.Enum):
-    """State of a stream."""
+    """State of a stream, with a description of it as value."""
 
     RESTING = "no sample has arrived yet"
     PLAYING = "samples are in effect"
@@ -70,21 +75,21 @@ class StreamState(enum.Enum):
 
 
 class Buffer:
-    """A ring of numbered samples; a sample can be replaced until it is played."""
+    """Ring buffer of a stream's numbered samples; a sample can be replaced until it is played."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
         self.ends: set[int] = set()
-        """Numbers of samples at which the stream ends."""
+        """Numbers of samples at which the controller has ended the stream: the first one that does not exist."""
         self._values = np.zeros(capacity)
         self._tags = np.zeros(capacity, np.int64)  # number + 1
         self._whole_to = 0  # all samples are present from the first one played to here
 
     def put(self, first: int, values: NDArray[np.float64]) -> None:
-        """Store the samples from number `first` on, at most the capacity; an empty array ends the samples there.
+        """Store the samples from number `first` on, at most the capacity; an empty array ends the stream there.
 
-        Only the sample with its own number replaces an end; later samples do not, so that the order of arrival has no
-        effect.
+        A later sample with exactly that number cancels the end. Samples beyond it do not, so that the order of arrival
+        has no effect.
         """
         self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
@@ -94,43 +99,43 @@ class Buffer:
         self._tags[numbers % self.capacity] = numbers + 1
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Remove all samples and ends."""
         self._tags[:] = 0
         self._whole_to = 0
         self.ends.clear()
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … end − 1 are present."""
+        """Return for each of the samples first … end − 1 whether it is in the buffer."""
         numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
 
     def values(self, first: int, end: int) -> NDArray[np.float64]:
-        """Return the samples first … end − 1."""
+        """Return the values of the samples first … end − 1, which must be in the buffer."""
         found: NDArray[np.float64] = self._values[np.arange(first, end) % self.capacity]
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first missing sample from `first` on."""
+        """Return the number of the first sample from `first` on that is not in the buffer."""
         at = max(first, self._whole_to)
         missing = np.flatnonzero(~self.there(at, first + self.capacity))
         self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
         return self._whole_to
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first sample that is present from `first` on, or None."""
+        """Return the number of the first sample from `first` on that is in the buffer, or None if there is none."""
         found = np.flatnonzero(self.there(first, first + self.capacity))
         return first + int(found[0]) if len(found) else None
 
 
 class Stream:
-    """Player of buffered samples as drive segments, tick by tick; copies share the buffer.
+    """Player of a stream: turns buffered samples into drive segments, tick by tick. Copies share the buffer.
 
     Attributes:
         played: number of the next sample to play; all earlier samples have taken effect.
         state: state of the stream.
-        missing: number of samples that did not arrive in time.
-        events: events that have not been collected yet.
+        missing: number of samples that did not arrive in time and were replaced.
+        events: events that the owner of the stream has not collected yet.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker) -> None:
@@ -153,7 +158,7 @@ class Stream:
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time of the ramp to zero at missing samples; a ramp under way starts again with it."""
+        """Set the time [s] of the ramp to zero at missing samples; a ramp under way starts again from here."""
         if self.state is not StreamState.PLAYING and self._ramps_down and self._ramped:
             # from the present value, because the drive must not jump
             self._last_value, self._ramped = self._last_value * (1.0 - self._ramped / self._ramp_samples), 0
@@ -166,16 +171,16 @@ class Stream:
         return twin
 
     def time_ns(self, sample: int) -> int:
-        """Return the time of a sample since scan 0."""
+        """Return the time of a sample since scan 0 [ns]."""
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:
-        """Store a block, the samples from number `first` on; return how many of them are late and were ignored.
+        """Store a block, the samples from number `first` on; return how many of them came too late and were ignored.
 
         A block without samples ends the stream at `first`.
 
         Raises:
-            CommandError: the block reaches beyond the buffer.
+            CommandError: the block reaches further ahead than the buffer does.
         """
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
@@ -189,9 +194,10 @@ class Stream:
         return late
 
     def stop(self, tick: int) -> float:
-        """Drop all samples, in effect or buffered, and return the value at the start of `tick`, the next one.
+        """Drop all samples, in effect or buffered, and return the drive's value at the start of `tick`, the next one.
 
-        From there on the stream itself is zero: its samples may be a second apart, too far to make a ramp of them.
+        From there on the stream itself is zero, and the caller makes a ramp from that value: the samples may be a
+        second apart, too far to make a ramp of them.
         """
         value = self._value_at(tick)
         self.buffer.clear()
@@ -203,7 +209,7 @@ class Stream:
         return value
 
     def _value_at(self, tick: int) -> float:
-        """Return the value at the start of the next tick, approached from the tick before."""
+        """Return the drive's value at the start of `tick`, the next one, approached from the tick before."""
         before, last = map(float, self._recent)
         if not self._linear or self.played == 0:
             return last
@@ -211,17 +217,17 @@ class Stream:
         return last if end_ns <= at_ns else before + (last - before) * ((at_ns - start_ns) / (end_ns - start_ns))
 
     def buffered(self) -> int:
-        """Return the number of consecutive samples that are present from the next one to play."""
+        """Return how many samples without a gap are in the buffer, from the next one to play on."""
         return self.buffer.first_missing(self.played) - self.played
 
     def ticks_until_event(self, tick: int) -> int:
-        """Return how many ticks from `tick` on end with the next event or the next sum."""
+        """Return how many ticks to play from `tick` on, so that the next event or checksum is in the last one."""
         ahead = SUM_TICKS - tick % SUM_TICKS
         at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
         return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
 
     def whole_ticks(self) -> int | None:
-        """Return the tick up to which the samples suffice, or None if no more samples will arrive."""
+        """Return the first tick for which a sample is missing, or None if the controller will send no more samples."""
         missing = self._first_missing()
         over = self.state is StreamState.OVER or self._end_reason == STOPPED
         if missing in self.buffer.ends or (over and missing == self.played):
@@ -229,7 +235,10 @@ class Stream:
         return self._tick_of(missing)
 
     def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
-        """Return the drive of the ticks tick … tick + count − 1, dtype `SEGMENT`."""
+        """Play the samples of the ticks tick … tick + count − 1 and return their drive segments, dtype `SEGMENT`.
+
+        `tick_s` is the duration of one tick [s].
+        """
         begin_ns, end_ns = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
         first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the start
         first_new, end = self.played, -(-end_ns * self.rate_hz // NS_PER_S) + self._linear
@@ -261,11 +270,11 @@ class Stream:
         return self.buffer.first_missing(self.played)
 
     def _tick_of(self, sample: int) -> int:
-        """Return the first tick that needs a given sample."""
+        """Return the number of the first tick whose drive depends on a given sample."""
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
     def _play(self, end: int) -> NDArray[np.float64]:
-        """Return the values of the samples played … end − 1, which take effect from now on."""
+        """Let the samples played … end − 1 take effect and return their values; missing ones are replaced."""
         parts = [np.empty(0)]
         while self.played < end:
             there = self.buffer.there(self.played, end)
@@ -288,7 +297,10 @@ class Stream:
         return values
 
     def _without(self, count: int) -> NDArray[np.float64]:
-        """Return replacements for missing samples: zero, a straight ramp to zero, or the last value."""
+        """Return values for `count` missing samples: zero, a straight ramp to zero, or the last value held.
+
+        The first missing one after played samples also adds the END event.
+        """
         if self.state is StreamState.PLAYING:
             self._sum_up()
             why = ENDED if self._end_reason == UNDERRUN and self.played in self.buffer.ends else self._end_reason

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Contact laws, found by name, and the configuration's `contact` section.
+"""Registry of the contact laws by name, and the section `contact` of the rig's configuration.
 
-docs/how-to/extending.md shows how to add a law.
+docs/how-to/extending.md shows how to add a law: a new module in this folder defines it.
 
-`LAWS` holds every law that a module of this folder defines, in alphabetical order of names. Nothing else lists them:
-the configuration's choices and its `contact` section, the tables of the documentation and the tests are made from it.
+`LAWS` holds every law that a module of this folder defines, in alphabetical order of names. The choices and the fields
+of the configuration's `contact` section, the tables of the documentation and the tests are all made from `LAWS`.
 """
 
 from __future__ import annotations
@@ -47,14 +47,19 @@ def _found() -> dict[str, type[ContactLaw]]:
 
 
 LAWS: dict[str, type[ContactLaw]] = _found()
-"""Every contact law by its name, in alphabetical order."""
+"""Class of every contact law by the name with which `contact.law` of a configuration selects it, in alphabetical order.
+"""
 
 for _law in LAWS.values():
     declare(_law().force(ContactPair(1.0, 1.0)).function)
 
 
 def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the section's attributes and those that laws add; laws that share an attribute must define it alike."""
+    """Return the attributes of the section `contact`: `own`, and those that only contact laws define.
+
+    attrs calls this while it makes the class `Contact`. Laws that share an attribute must give it the same default and
+    metadata; otherwise an AssertionError names the attribute.
+    """
     found = {attribute.name: attribute for attribute in own}
     for law in LAWS.values():
         for attribute in attrs.fields(law):
@@ -66,7 +71,7 @@ def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> l
 
 @attrs.frozen(kw_only=True, field_transformer=_with_settings_of_laws)
 class Contact:
-    """The contact between sphere and barrier."""
+    """Section `contact` of a configuration: the law that describes contacts of sphere and barrier, and its settings."""
 
     law: str = choice("flores", tuple(LAWS), "Contact law, by name.", Origin.PAPER)
     restitution: float = restitution()
@@ -82,7 +87,11 @@ class Contact:
 
 
 def from_config(contact: Contact) -> ContactLaw:
-    """Return the configured law; with `calibration: exact` its damping factor is replaced by the one that returns e."""
+    """Return the contact law that the section `contact` of a configuration selects, with its settings.
+
+    With `calibration: exact`, an adjustable law is replaced by the law `exact`, whose damping factor makes the realised
+    restitution equal to the configured e.
+    """
     named = LAWS[contact.law]
     law = LAWS["exact"] if contact.calibration == "exact" and named.adjustable else named
     return law(**{attribute.name: getattr(contact, attribute.name) for attribute in attrs.fields(law)})

@@ -11,17 +11,19 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Laws of the Hunt–Crossley form: Hertz's force with a damping that vanishes with the indentation.
+"""Contact laws of the Hunt–Crossley form: Hertz's force with a damping that vanishes with the indentation.
 
     F = K δ^1.5 (1 + a δ'/v0)        v0: approach speed of the contact; a: hysteresis factor, the laws differ in a
 
-Restitution e that such a law really gives between two free bodies, whatever K, the exponent, the masses and v0:
+δ is the indentation and K the Hertz stiffness. The laws differ in the formula for a as a function of the nominal
+restitution. The restitution e that such a law really gives between two free bodies, whatever K, the exponent, the
+masses and v0, solves
 
     ln[(1 + a) / (1 − a e)] = a (1 + e)
 
 To derive it, integrate δ' dδ' = −(K/m)(1 + a δ'/v0) δⁿ dδ inwards from v0 and outwards from −e v0; the δⁿ cancels. The
-equation is solved in portable arithmetic because the simulation depends on the factors, and by bisection because its
-two sides agree to many digits where e is close to 1.
+equation is solved in portable arithmetic because the simulation depends on the factors. It is solved with many digits
+and by bisection because its two sides agree to many digits where e is close to 1.
 """
 
 from __future__ import annotations
@@ -38,12 +40,14 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 _CLOSE = Decimal("1e-20")
 _SMALL = 1e-9
-"""Below this factor, the next term of the series (4a²/9) is smaller than the resolution of a float."""
+"""Hysteresis factor a below which the restitution is 1 − 2a/3 to the resolution of a float: the next term of the series
+is 4a²/9.
+"""
 
 
 @precise
 def realised(hysteresis_factor: float) -> float:
-    """Return the restitution that the dimensionless damping factor `a` ≥ 0 gives."""
+    """Return the restitution that a Hunt–Crossley contact really gives with the hysteresis factor `a` ≥ 0 [-]."""
     if hysteresis_factor < 0.0 or not math.isfinite(hysteresis_factor):
         raise ValueError(f"hysteresis factor must be >= 0, got {hysteresis_factor!r}")
     if hysteresis_factor < _SMALL:
@@ -54,7 +58,7 @@ def realised(hysteresis_factor: float) -> float:
 
 @precise
 def factor_returning(restitution: float) -> float:
-    """Return the factor `a` whose realised restitution is `restitution` in (0, 1]."""
+    """Return the hysteresis factor `a` [-] with which a Hunt–Crossley contact really gives `restitution`, in (0, 1]."""
     if not 0.0 < restitution <= 1.0:
         raise ValueError(f"restitution must be > 0 and <= 1, got {restitution!r}")
     if restitution == 1.0:
@@ -64,12 +68,18 @@ def factor_returning(restitution: float) -> float:
 
 
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
-    """Return the left side minus the right side: negative below the root and positive above it, in `a` as in `e`."""
+    """Return ln[(1 + a) / (1 − a e)] − a (1 + e), which is zero where the hysteresis factor a gives the restitution e.
+
+    As a function of a, and as one of e, it is negative below that root and positive above it.
+    """
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 
 
 def _root(high: Decimal, imbalance: Callable[[Decimal], Decimal]) -> float:
-    """Return the one number in (0, high) at which a function goes from negative to positive."""
+    """Return the root of a function in (0, high) by bisection.
+
+    `imbalance` is the function; it is negative below the root and positive above it.
+    """
     low = ZERO
     while high - low > _CLOSE * high:
         middle = (low + high) / TWO
@@ -85,7 +95,11 @@ def _hertz_damped(
     w: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
-    """F = K w³ (1 + a δ'/v0)."""
+    """Return the Hunt–Crossley force F = K w³ (1 + a δ'/v0) in the form that `contact.law` describes.
+
+    K is `stiffness`, a `factor`, 1/v0 `per_v0`, δ' `speed`, and w the square root of the indentation δ. The results are
+    the elastic and the lossy part of F [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
+    """
     hertz = stiffness * w * w * w
     damping = factor * per_v0
     pressing = 1.0 + damping * speed
@@ -94,29 +108,36 @@ def _hertz_damped(
 
 @attrs.frozen
 class HystereticLaw(ContactLaw):
-    """Contact law of the Hunt–Crossley form; a subclass defines only the hysteresis factor `a`."""
+    """Contact law F = K δ^1.5 (1 + a δ'/v0) with Hertz stiffness K; a subclass defines only the hysteresis factor a."""
 
     adjustable = True
 
     def hysteresis_factor(self) -> float:
-        """Return a, dimensionless; c = a K / v0 with the approach speed of each contact."""
+        """Return the dimensionless hysteresis factor a that this law's formula gives for the nominal restitution.
+
+        A contact with the approach speed v0 has the damping coefficient c = a K / v0 of c δ^1.5 δ'.
+        """
         raise NotImplementedError
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force between the bodies of `pair`."""
+        """Return the Hunt–Crossley force with the Hertz stiffness of the bodies `pair` and this law's factor a."""
         return Force(
             _hertz_damped, pair.hertz_stiffness, self.hysteresis_factor(), 1.5, self.restitution, scale_free=True
         )
 
     def realised_restitution(self) -> float:
-        """Return e_out from ln[(1 + a)/(1 − a e_out)] = a (1 + e_out)."""
+        """Return the restitution that the law really gives, the root e of ln[(1 + a)/(1 − a e)] = a (1 + e)."""
         return realised(self.hysteresis_factor())
 
 
 def _published(
     name: str, formula: str, returns: float, source: str, factor: Callable[[float], float], *, adjustable: bool = True
 ) -> type[HystereticLaw]:
-    """Return the law of one table row; `factor` computes a from e."""
+    """Return the class of a Hunt–Crossley law from its published formula: `factor` computes a from the nominal e.
+
+    The other arguments become class attributes, see `ContactLaw`; `returns` is the restitution it gives for a nominal
+    0.35.
+    """
     row = {"name": name, "formula": formula, "returns": returns, "source": source, "adjustable": adjustable}
     law = type(name, (HystereticLaw,), {
         **row, "hysteresis_factor": lambda self: factor(self.restitution), "__module__": __name__,
@@ -128,12 +149,12 @@ def _published(
 Hertz = _published(
     "hertz", "0", 1.0, "Hertz (1882), J. Reine Angew. Math. 92, 156–171", lambda _: 0.0, adjustable=False
 )
-"""The elastic limit, used as a reference: it returns 1 whatever the nominal restitution."""
+"""Law without damping (a = 0), used as a reference: it returns 1 whatever the nominal restitution."""
 HuntCrossley = _published(
     "hunt_crossley", "3(1 − e)/2", 0.600, "Hunt & Crossley (1975), J. Appl. Mech. 42, 440–445",
     lambda e: 1.5 * (1.0 - e),
 )  # fmt: skip
-"""The first law whose damping vanishes with the indentation; derived for e close to 1."""
+"""The first published law whose damping vanishes with the indentation; its formula is derived for e close to 1."""
 HerbertMcWhannell = _published(
     "herbert_mcwhannell", "6(1 − e)/((2e − 1)² + 3)", 0.534, "Herbert & McWhannell (1977), J. Eng. Ind. 99, 671–674",
     lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) * (2.0 * e - 1.0) + 3.0),
@@ -146,23 +167,25 @@ LankaraniNikravesh = _published(
     "lankarani_nikravesh", "3(1 − e²)/4", 0.692, "Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369–376",
     lambda e: 0.75 * (1.0 - e * e),
 )  # fmt: skip
-"""The usual choice of multibody codes, meant for high restitution."""
+"""The law that multibody programs usually offer; its formula is meant for a restitution close to 1."""
 Gonthier = _published(
     "gonthier", "(1 − e²)/e", 0.352,
     "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233", lambda e: (1.0 - e * e) / e,
 )  # fmt: skip
-"""Close to the requested restitution over the whole range."""
+"""A law that really gives close to the nominal restitution over the whole range of it."""
 ZhiyingQishao = _published(
     "zhiying_qishao", "¾(1 − e²) exp(2(1 − e))", 0.361, "Qin & Lu (2006), J. Dynamics and Control 4(4), 294–298",
     lambda e: 0.75 * (1.0 - e * e) * float(exp(2.0 * (1.0 - e))),
 )  # fmt: skip
-"""Lankarani–Nikravesh corrected for low restitution."""
+"""The law of Lankarani and Nikravesh with a correction factor for low restitution."""
 Flores = _published(
     "flores", "8(1 − e)/(5e)", 0.309,
     "Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357–375; the paper's Eq. (5)",
     lambda e: 8.0 * (1.0 - e) / (5.0 * e),
 )  # fmt: skip
-"""The law of the paper, whose own simulation rebounded less than its drop test."""
+"""The law of the paper about this rig. It gives 0.309 for the nominal 0.35 of the paper's drop test; the paper's own
+simulation rebounded less than the drop test, too.
+"""
 HuGuo = _published(
     "hu_guo", "3(1 − e)/(2e)", 0.325, "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151",
     lambda e: 1.5 * (1.0 - e) / e,
@@ -171,4 +194,4 @@ Exact = _published(
     "exact", "root of ln[(1 + a)/(1 − a e)] = a (1 + e)", 0.350, "closed form of the Hunt–Crossley family",
     factor_returning,
 )  # fmt: skip
-"""The factor that gives exactly the requested restitution: 2.52338 for e = 0.35."""
+"""The law whose factor gives exactly the nominal restitution: a = 2.52338 for e = 0.35."""

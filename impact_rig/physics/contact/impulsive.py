@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Instantaneous restitution: the contact takes no time, and the relative speed jumps from v to −e v.
+"""Contact law of a rigid wall: the contact takes no time, and the relative speed jumps from v to −e v.
 
-The sphere's change of momentum goes to the structure at once. A sphere that no longer bounces stays on the wall, in
-phase ATTACHED.
+The change of the sphere's momentum goes to the superior base at the same instant. A sphere that no longer bounces stays
+on the wall and moves with the superior base, in phase ATTACHED.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ def _never(
     w: float,  # noqa: ARG001
     speed: float,  # noqa: ARG001
 ) -> tuple[float, float, float, float, float]:
-    """Return no force: a rigid wall is never indented."""
+    """Return zeros: a rigid wall is never indented, so this force only fills the interface and is never called."""
     return 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @attrs.frozen
 class Restitution(ContactLaw):
-    """Rigid wall with coefficient of restitution e."""
+    """Contact law of a rigid wall: a contact takes no time and reverses the relative speed v to −e v."""
 
     name = "restitution"
     formula = "instantaneous, δ' → −e δ'"
@@ -46,9 +46,9 @@ class Restitution(ContactLaw):
     returns = 0.350
 
     def force(self, pair: ContactPair) -> Force:  # noqa: ARG002  # an impulse needs no stiffness
-        """Return a rigid wall."""
+        """Return a `Force` marked as rigid: the simulation then reverses the relative speed and needs no force."""
         return Force(_never, 0.0, 0.0, 1.0, self.restitution, rigid=True)
 
     def realised_restitution(self) -> float:
-        """Return e."""
+        """Return the nominal restitution e, which a rigid wall gives exactly."""
         return self.restitution

@@ -13,25 +13,25 @@
 # limitations under the License.
 """Base class of contact laws: a name, a source, a restitution, and a force that every phase of the motion can use.
 
-A law defines its force as a plain function of numbers, which is compiled at its first use. Its `Force` holds the
-constants that are passed to that function:
+A law defines its force F [N], which pushes sphere and wall apart, as a plain function of numbers. The function is
+compiled, in the library or at its first use. Its `Force` holds the constants that are passed to that function:
 
     force(stiffness, factor, per_v0, turned_at, w, speed) -> (elastic, lossy, stored, ∂F/∂w, ∂F/∂δ')
     F = elastic + lossy
 
-- `w`: √δ [m^0.5], the variable in which contacts are integrated.
+- `w`: √δ [m^0.5] with δ the indentation [m]; contacts are integrated in this variable.
 - `speed`: δ' [m/s], positive while the indentation grows.
-- `turned_at`: the largest w so far [m^0.5] while the indentation is smaller than there, 0 on the first way in and
-  beyond that largest w. A law with a memory has one branch for each.
+- `turned_at`: the largest w so far in this contact [m^0.5] while the indentation is smaller than there, 0 on the first
+  way in and beyond that largest w. A law with a memory has one branch for each of the two cases.
 - `per_v0`: 1 / approach speed of this contact, with a lower limit of the speed [s/m].
 - `elastic`: the part of F that the stored energy gives back [N].
 - `lossy`: the rest of F [N]. The contact loses the power lossy · δ' [W].
 - `stored`: stored energy ∫ elastic dδ [J]. What is left of it at the end of the contact is lost.
 
-On either branch the force must be smooth in w and δ', also slightly below w = 0, where a step may evaluate it.
-No other module depends on which law is used: kernels call a force through the function pointers of `CompiledForce`. The
-library contains the forces of the package's own laws. If Numba is installed, it compiles the force of any other law,
-and the kernels get its address. Without Numba the library calls back into plain Python.
+On either branch the force must be smooth in w and δ', also slightly below w = 0, where a step may evaluate it. No other
+module depends on which law is used: kernels call a force through the function pointers of `CompiledForce`. The library
+contains the forces of the package's own laws. If Numba is installed, it compiles the force of any other law, and the
+kernels get its address. Without Numba the library calls back into plain Python.
 """
 
 from __future__ import annotations
@@ -58,16 +58,17 @@ ForceFunction = Callable[[float, float, float, float, float, float], tuple[float
 
 
 class Force(NamedTuple):
-    """A law's force for one pair of bodies.
+    """Force function of a contact law, with its constants for one pair of bodies and the properties of its contacts.
 
     Attributes:
-        function: the force function, see the head of this module.
+        function: the force function; the docstring of this module lists its arguments and results.
         stiffness: its first argument, K of F ~ K δ^exponent [N/m^exponent].
-        factor: its second argument, depending on the law: a [-], c [N s/m] or e² [-].
-        exponent: exponent of the indentation, for the scales of a contact.
+        factor: its second argument: hysteresis factor a [-], damping c [N s/m] or e² [-], depending on the law.
+        exponent: exponent of the indentation δ in F, from which the time scale of a contact follows.
         restitution: nominal restitution; a rigid law rebounds with it.
         lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
-        scale_free: whether all contacts are equal in their own units, which needs a `factor` without dimension.
+        scale_free: whether all contacts are equal in units made of their own speed and time scale, so that they can be
+            tabulated; needs a `factor` without dimension.
         remembers: whether the force depends on `turned_at`. Such a law may ring undamped; slow ringing is averaged.
         rigid: whether a contact takes no time; its force is never evaluated.
     """
@@ -84,35 +85,37 @@ class Force(NamedTuple):
 
 
 class ContactPair(NamedTuple):
-    """The two bodies that meet: Hertz stiffness [N/m^1.5] and effective mass [kg]."""
+    """Sphere and superior base, as a law's constants need them: Hertz stiffness [N/m^1.5], effective mass [kg]."""
 
     hertz_stiffness: float
     effective_mass: float
 
 
 LEAST_RESTITUTION = 0.01
-"""Lower limit of e. A sphere dropped from 1 m rebounds by e², which is 0.1 mm here. A drop test measures no less, and
-with a smaller e the bodies would stick, which no law here models. The tests cover the laws from this value up.
+"""Lower limit of the nominal restitution e. A sphere dropped from 1 m rebounds to e² m, which is 0.1 mm at this limit.
+A drop test measures no less, and with a smaller e the bodies would stick, which no law here models. The tests cover the
+laws from this value up.
 """
 
 
 def restitution() -> Any:
-    """Return the attrs field of the nominal coefficient of restitution e."""
+    """Return a new attrs field for the setting `restitution`: the nominal restitution e [-] of the drop test."""
     about = "Coefficient of restitution e of the drop test."
     return quantity(0.35, "-", about, Origin.PAPER, at_least=LEAST_RESTITUTION, at_most=1)
 
 
 @attrs.frozen
 class ContactLaw:
-    """Contact law; its fields are the values of the configuration's `contact` section that it reads.
+    """Base class of a contact law; its fields are the settings that it reads from a configuration's section `contact`.
 
-    A field that the section lacks is added to it; make such fields with `impact_rig.config.fields`.
+    A field that the section lacks is added to it; make such fields with `impact_rig.config.fields`. A subclass defines
+    the class attributes and the two methods below.
 
     Attributes:
         name: name by which a configuration chooses the law.
-        formula: formula in the table of laws, without `|`.
-        source: publication that defines it.
-        returns: restitution it gives for a nominal 0.35, to three digits.
+        formula: formula of the law in the documentation's table of laws, without `|`.
+        source: publication that defines the law.
+        returns: restitution that the law really gives for a nominal 0.35, to three digits.
         adjustable: whether `calibration: exact` replaces this law by the law `exact`.
     """
 
@@ -124,11 +127,11 @@ class ContactLaw:
     restitution: float = restitution()
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force between the bodies of `pair`."""
+        """Return the law's force function with its constants for the two bodies `pair`; every law defines this."""
         raise NotImplementedError
 
     def realised_restitution(self) -> float:
-        """Return the restitution that this law really gives, from its closed form."""
+        """Return the restitution that this law really gives, from a closed form; every law defines this."""
         raise NotImplementedError
 
 
@@ -137,7 +140,7 @@ AT_STAGES = Function((RecordType(PARAMETERS), float, RecordType(CONTACT_STEP)), 
 
 
 class CompiledForce(NamedTuple):
-    """A law's force as function pointers.
+    """Force of a contact law as two functions that kernels call: pointers to compiled code, or in mode `plain` Python.
 
     Attributes:
         at_point: function that takes (parameters, per_v0, turned_at, w, speed, step) and fills the step's `point` with
@@ -154,7 +157,7 @@ FORCE = Fields(CompiledForce, (AT_POINT, AT_STAGES))
 
 
 def at_point_of(force: Any) -> Any:
-    """Return the function that evaluates a force at one point."""
+    """Return a function that evaluates `force` for one w and δ' and stores the five results in the step's `point`."""
 
     def at_point(p: Record, per_v0: float, turned_at: float, w: float, speed: float, step: Record) -> None:
         elastic, lossy, stored, by_w, by_speed = force(p.stiffness, p.factor, per_v0, turned_at, w, speed)
@@ -165,7 +168,7 @@ def at_point_of(force: Any) -> Any:
 
 
 def at_stages_of(force: Any) -> Any:
-    """Return the function that evaluates a force at the stages of a step."""
+    """Return a function that evaluates `force` at all stages of a contact's integration step and stores the results."""
 
     def at_stages(p: Record, per_v0: float, step: Record) -> None:
         for i in range(STAGES):
@@ -179,19 +182,24 @@ def at_stages_of(force: Any) -> Any:
 
 
 def declare(function: ForceFunction) -> None:
-    """Register a law's force for the library."""
+    """Register the force function of one of the package's own laws, so that the kernel library will contain it."""
     kernels.exported[f"{name_of(function)}.at_point"] = Exported(function, AT_POINT, at_point_of)
     kernels.exported[f"{name_of(function)}.at_stages"] = Exported(function, AT_STAGES, at_stages_of)
 
 
 def name_of(function: ForceFunction) -> str:
-    """Return the name of a force in the library, without `.at_point` or `.at_stages`."""
+    """Return the name under which the kernel library exports a force function, without `.at_point` or `.at_stages`."""
     return f"force.{function.__module__}.{function.__qualname__}"
 
 
 @functools.cache
 def compiled_force(function: ForceFunction) -> CompiledForce:
-    """Return a law's force as function pointers for the kernels of this process."""
+    """Return a law's force function in the form that the kernels of this process can call.
+
+    It is taken from the kernel library or compiled by Numba. If neither has it, compiled code calls back into plain
+    Python, which is several hundred times slower, and a warning is logged. In mode `plain` the function itself is
+    called.
+    """
     name, parts = name_of(function), ((at_point_of, AT_POINT), (at_stages_of, AT_STAGES))
     if kernels.MODE == "plain":
         return CompiledForce(*(around(_reported(function, name)) for around, _ in parts))
@@ -212,7 +220,7 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
 
 
 def _reported(force: ForceFunction, name: str) -> ForceFunction:
-    """Return a force whose exceptions name the contact force they come from."""
+    """Return a function that calls `force` and turns its exceptions into SimulationErrors that quote `name`."""
 
     def reported(*numbers: float) -> tuple[float, float, float, float, float]:
         try:
@@ -224,7 +232,10 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 
 
 def _finite(force: Any) -> Any:
-    """Return a compiled force that returns NaN where it would raise, which ends the contact and the run."""
+    """Return a function that calls the compiled `force`, and returns NaN if that raises.
+
+    NaN ends the contact and, with a SimulationError, the run.
+    """
 
     def finite(
         stiffness: float, factor: float, per_v0: float, turned_at: float, w: float, speed: float
@@ -240,17 +251,26 @@ def _finite(force: Any) -> Any:
 
 
 _raised: list[BaseException] = []
-"""Exceptions of callbacks. They cannot pass through compiled code, so `raise_failure` raises them afterwards."""
+"""Exceptions that plain Python forces raised while compiled code called them. They cannot pass through compiled code,
+so `raise_failure` raises them afterwards.
+"""
 
 
 def raise_failure() -> None:
-    """Raise the exception that a plain Python contact force raised while compiled code called it."""
+    """Raise the exception, if any, that a plain Python contact force raised while compiled code called it.
+
+    Call this after every kernel that evaluates forces: the exception cannot pass through the compiled code.
+    """
     if _raised:
         raise _raised.pop()
 
 
 def _callback(function: Callable[..., None], kind: Function) -> Pointer:
-    """Return a pointer to a Python function that gets its records by address; the last record is the step."""
+    """Return a pointer through which compiled code calls a Python function that evaluates a force, of the type `kind`.
+
+    The function gets its records by address. If it raises, the exception is kept for `raise_failure`, and the forces in
+    the last record, the step, are set to NaN, which ends the contact.
+    """
     layout: Any = np.ctypeslib.as_ctypes_type
     types: list[Any] = [
         ctypes.POINTER(layout(one.dtype)) if isinstance(one, RecordType) else ctypes.c_double for one in kind.arguments

@@ -11,26 +11,27 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Laws with a linear spring in place of Hertz's stiffness, derived from a contact time t_c and a restitution e.
+"""Contact laws with a linear spring, whose stiffness follows from a contact time t_c and a restitution e.
 
 **Kelvin–Voigt**: linear spring and damper, the textbook model with a closed form.
 
     F = k δ + c δ',   k = m (π² + ln²e) / t_c²,   c = −2 m ln(e) / t_c        m: effective mass, t_c: contact time
 
-The force jumps to c v0 at the first touch and pulls just before the end. If the sphere is released at zero indentation
-(as published), the restitution is e; if it is released at zero force, the restitution is larger.
+δ is the indentation and v0 the approach speed. The force jumps to c v0 at the first touch and pulls just before the
+end. If the sphere is released at zero indentation (as published), the restitution is e; if it is released at zero
+force, the restitution is larger.
 
 **Walton–Braun**: loading along one line, unloading along a steeper one. Plastic yielding, not damping, causes the loss.
 
     loading    F = k_1 δ
     unloading  F = k_2 (δ − δ_p),   k_2 = k_1 / e²,   δ_p = (1 − e²) δ_max        below the largest indentation δ_max
 
-The coefficient of restitution is constant whatever the speed, because the areas under the two lines are as 1 : e². The
-sphere is released at δ_p, where the force vanishes, and flies on from there. The residual indentation δ_p lasts for one
-contact only. k_1 follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
+The restitution is e whatever the speed, because the areas under the two lines are as 1 : e². The sphere is released at
+δ_p, where the force vanishes, and flies on from there. The residual indentation δ_p lasts for one contact only. k_1
+follows from the contact time, a quarter period on each line: t_c = (π/2) (1 + e) √(m_eff / k_1).
 
 A pressed sphere would ring on the unloading line for ever. Below `contact.speed_floor_m_s` the ringing is averaged: the
-sphere moves with the base as one body, and the energy of the ringing is counted as lost.
+sphere moves with the superior base as one body, and the energy of the ringing is counted as lost.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
 def contact_time_s() -> Any:
-    """Return the attrs field of t_c, from which linear laws derive their stiffness in place of the Hertz stiffness."""
+    """Return a new attrs field for the setting `contact_time_s`: t_c [s], which gives linear laws their stiffness."""
     return quantity(45e-6, "s", "Contact time that gives a linear law its stiffness.", at_least=1e-6, at_most=0.01)
 
 
@@ -58,13 +59,17 @@ def _spring_damper(
     w: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
-    """F = k w² + c δ'."""
+    """Return the Kelvin–Voigt force F = k w² + c δ' in the form that `contact.law` describes.
+
+    k is `stiffness`, c `factor`, δ' `speed`, and w the square root of the indentation δ. The results are the elastic
+    and the lossy part of F [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
+    """
     return stiffness * w * w, factor * speed, 0.5 * stiffness * w * w * w * w, 2.0 * stiffness * w, factor
 
 
 @attrs.frozen
 class KelvinVoigt(ContactLaw):
-    """Linear contact with restitution e and contact time t_c [s]."""
+    """Contact law of a linear spring and damper with restitution e and contact time t_c [s]."""
 
     name = "kelvin_voigt"
     formula = "linear spring and damper, released at δ = 0; at F = 0 it returns 0.434"
@@ -76,14 +81,14 @@ class KelvinVoigt(ContactLaw):
     )
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force between the bodies of `pair`."""
+        """Return the force of spring and damper, with k and c from t_c, e and the effective mass of `pair`."""
         log_e = float(log(self.restitution))
         stiffness = pair.effective_mass * (PI * PI + log_e * log_e) / (self.contact_time_s * self.contact_time_s)
         damping = -2.0 * pair.effective_mass * log_e / self.contact_time_s
         return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, lets_go=self.release == "force")
 
     def realised_restitution(self) -> float:
-        """Return e, or the larger restitution for release at zero force.
+        """Return the restitution: e for release at zero indentation, larger for release at zero force.
 
         With decay rate β = −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
         """
@@ -104,7 +109,11 @@ def _elastoplastic(
     w: float,
     speed: float,  # noqa: ARG001  # as above
 ) -> tuple[float, float, float, float, float]:
-    """Return the force on the loading line, or on the unloading line below the turning point; `factor` is e²."""
+    """Return the Walton–Braun force in the form that `contact.law` describes; `stiffness` is k_1 and `factor` is e².
+
+    With `turned_at` = 0 the force lies on the loading line, otherwise on the unloading line from the indentation
+    turned_at². The results are the elastic and the lossy part of F [N], the stored energy [J], ∂F/∂w and ∂F/∂δ'.
+    """
     if turned_at == 0.0:
         force = stiffness * w * w
         return factor * force, (1.0 - factor) * force, 0.5 * factor * force * w * w, 2.0 * stiffness * w, 0.0
@@ -115,7 +124,7 @@ def _elastoplastic(
 
 @attrs.frozen
 class WaltonBraun(ContactLaw):
-    """Elastoplastic contact with restitution e and contact time t_c [s]."""
+    """Elastoplastic contact law, two straight lines without damping, with restitution e and contact time t_c [s]."""
 
     name = "walton_braun"
     formula = "loading along k_1 δ, unloading along k_1/e² (δ − δ_p), no damping"
@@ -124,15 +133,15 @@ class WaltonBraun(ContactLaw):
     contact_time_s: float = contact_time_s()
 
     def loading_stiffness(self, pair: ContactPair) -> float:
-        """Return k_1 [N/m]."""
+        """Return the loading stiffness k_1 [N/m] that gives the contact time t_c for the effective mass of `pair`."""
         time_scale = 2.0 * self.contact_time_s / (PI * (1.0 + self.restitution))
         return pair.effective_mass / (time_scale * time_scale)
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the force between the bodies of `pair`."""
+        """Return the force of the two lines, with the loading stiffness k_1 for the effective mass of `pair`."""
         squared = self.restitution * self.restitution
         return Force(_elastoplastic, self.loading_stiffness(pair), squared, 1.0, self.restitution, remembers=True)
 
     def realised_restitution(self) -> float:
-        """Return e."""
+        """Return the nominal restitution e, which the two lines give exactly at every speed."""
         return self.restitution
