@@ -409,7 +409,7 @@ def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Reco
 
 @kernel
 def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> int:
-    """Return the last row in [first_row, end_row) whose state is not after t [s], or `first_row` if all are."""
+    """Return the last row in [first_row, end_row) whose time is not after t [s], or `first_row` if all are later."""
     while end_row - first_row > 1:
         middle_row = (first_row + end_row) // 2
         if history[middle_row].t <= t:
