@@ -64,8 +64,8 @@ _TICKS_AT_ONCE = 25
 same for any number.
 """
 _JUMPS = "a_1"
-"""The only quantity that a sensor integrates over a jump: the velocity of the superior base jumps at an instantaneous
-impact.
+"""Name of the only quantity whose integral jumps at an instantaneous impact: the acceleration of the superior base,
+whose velocity jumps there.
 """
 _ERRORS, _NOISE, _CONVERTER_NOISE, _BOARD = range(4)
 _LEFT_OVER = 4  # readings that wait for other channels: at most one, and one more after a change of the skews

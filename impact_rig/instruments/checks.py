@@ -90,7 +90,7 @@ class _Rest:
 def check_known_input(
     config: InstrumentSetup, faults: Iterable[Fault] = (), frequency_hz: float = 10.0, fraction: float = 0.5
 ) -> list[ChannelCheck]:
-    """Apply a sine to every channel of a copy of the rig's instruments and judge the readings.
+    """Apply a sine to every channel of a copy of the rig's instruments and compare the readings with the certificate.
 
     Args:
         config: configuration of the rig.

@@ -97,7 +97,7 @@ def _force_and_slope(
 def _excess(
     p: Record, law: CompiledForce, s: Record, step: Record, event: int, at: tuple[float, float, float]
 ) -> float:
-    """Return how far a point of a contact's step is beyond an event, in units of the event; at most 0 before it.
+    """Return how far a point of a contact's step is beyond an event, on the event's own scale; at most 0 before it.
 
     The point is `at` = (time since the start of the step [s], w, δ'), with w the square root of the indentation δ. If
     `step.time_left` is infinite, PAUSED has the excess NaN, which never counts as beyond.
@@ -240,11 +240,11 @@ def _limit_length(s: Record, step: Record) -> float:
 
 @kernel
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Solve the next step of a contact and return the event at its end, NOTHING, or FAILED if no length has a solution.
+    """Solve the next step of a contact and return the event at its end, NOTHING, or FAILED.
 
-    `s.h` becomes the length of the solved step in χ, `s.next_h` the proposed length of the step after it. The rest of
-    the state stays in place until `conclude` moves it. `step` must have been expanded about s, and must hold the
-    `time_left` to the end of the drive segment [s].
+    FAILED means that none of many lengths gave a valid step. `s.h` becomes the length of the solved step in χ,
+    `s.next_h` the proposed length of the step after it. The rest of the state stays in place until `conclude` moves it.
+    `step` must have been expanded about s, and must hold the `time_left` to the end of the drive segment [s].
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -420,8 +420,8 @@ def t_0_of(p: Record, speed: float) -> float:
 def first_length(p: Record, speed: float, acceleration: float) -> float:
     """Return the length in χ [s/m^0.5] for the first step of a contact that begins with the speed v0 = `speed` [m/s].
 
-    It is a part of √(time/v0). The time is that of the contact law (`t_0_of`), or v0 over the `acceleration` [m/s²]
-    with which the columns press sphere and wall together if that is shorter.
+    It is a part of √(time/v0). The time is the shorter of two: the contact's time scale `t_0_of`, and v0 over the
+    `acceleration` [m/s²] with which the columns press sphere and wall together.
     """
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -192,7 +192,10 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
 
 @kernel
 def add_correction(p: Record, side: float, step: Record, stage: int, y: Reals) -> None:
-    """Add to the structural state y the correction z at one stage, which the indentation causes through the columns."""
+    """Add to the structural state y the correction at one stage of a step: `side` · σ z.
+
+    It is the small motion that the indentation causes through the force of the columns.
+    """
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
 
@@ -366,8 +369,9 @@ def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> 
 def _set_newton(step: Record, h: float) -> None:
     """Fill `step.newton`, the matrix of Newton's method, with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
-    That is MATRIX⁻¹ times the derivative, by the speeds δ' at the stages, of the equations of the step, δ' − δ'(start)
-    − h MATRIX slope(δ') = 0. Only the small part of a_r(t) is missing, see `_add_acceleration_to_newton`.
+    Newton's method solves δ' − δ'(start) − h MATRIX slope(δ') = 0 for the speeds δ' at the stages, and this is MATRIX⁻¹
+    times the derivative of those equations. Only the small part of a_r(t) is missing, see
+    `_add_acceleration_to_newton`.
     """
     newton = step.newton
     for i in range(STAGES):

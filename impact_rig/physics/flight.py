@@ -265,10 +265,7 @@ def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: floa
 
 @kernel
 def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
-    """Return the modulus and the value of exp(λ since), the change of a mode's amplitude in `since` seconds.
-
-    λ is `rate`.
-    """
+    """Return the modulus and the value of exp(λ since), by which a mode with λ = `rate` changes in `since` seconds."""
     envelope = exp(rate.real * since)
     sine, cosine = sincos(rate.imag * since)
     return envelope, complex(envelope * cosine, envelope * sine)

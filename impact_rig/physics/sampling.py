@@ -708,9 +708,7 @@ def _fit_contact(
 def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float, depth: float, speed: float) -> float:
     """Return δ'' [m/s²] in a tabulated contact, `since` seconds after the touch, for the indentation and its rate.
 
-    These are `depth` [m] and `speed` [m/s].
-
-    `step` must be expanded about the touch.
+    These are `depth` [m] and `speed` [m/s]; `step` must be expanded about the touch.
     """
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
