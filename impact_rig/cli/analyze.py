@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze`: repeated analysis of a run, like that of the live node or of the record as a whole."""
+"""Command `impact-rig analyze`: analysis of a recorded run like that of the live node, or of the record as a whole."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ DRAWN_CYCLES = 4
 
 
 def run_analyze(arguments: argparse.Namespace) -> int:
-    """Run `analyze`."""
+    """Analyse a recorded run again, or do the analysis that an option selects; return the exit code.
+
+    Without such an option, it is 1 if the results differ from those of the live analysis, else 0.
+    """
     console = Console(quiet=arguments.json)
     with open_run(arguments.path, arguments.rig) as run:
         for analysis in analyses():
@@ -109,7 +112,10 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
 
 
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
-    """Print one row per measurement; those without numbers only if `everything`, else their number and reasons."""
+    """Print a table with one row per measurement of a run.
+
+    Rows without numbers are printed only if `everything`; otherwise one line counts them by their status.
+    """
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
     table = TextTable(right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"))
     table.add_column("regime", no_wrap=True)
@@ -130,24 +136,28 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
         words, counts = np.unique(rows["status"][~measured], return_counts=True)
         why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
         console.print(
-            f"left out, as nothing was measured: {why} (--all shows them; docs/explanation/analysis.md explains)"
+            f"rows left out because they have no value of DT: {why} (--all shows them; docs/explanation/analysis.md "
+            "explains these words)"
         )
 
 
 def _places(u: float) -> str:
-    """Return a format with two digits of an uncertainty: three decimal places, or more if it would be zero."""
+    """Return the format of a value with the standard uncertainty `u`, and of `u` itself.
+
+    It has at least three decimal places, and as many as two significant digits of `u` need.
+    """
     return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
 
 
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `frf`."""
+    """Run `impact-rig analyze --frf`: print and draw the frequency response x_1/x_b of a run; return exit code 0."""
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.wholes import response_of  # noqa: PLC0415  # as above
 
     for name, most in (("segment", math.inf), ("damping", 1.0)):
         value = getattr(arguments, name)
         if value is not None and not 0.0 < value < most:
-            limit = "> 0 and finite" if most == math.inf else f"> 0 and < {most:g}"
+            limit = "a finite number of seconds > 0" if most == math.inf else f"> 0 and < {most:g}"
             raise ConfigError(f"--{name} must be {limit}, got {value!r}")
     prepare_figure(arguments, "frf")
     found = response_of(run, arguments.segment, arguments.window, arguments.damping)
@@ -173,7 +183,7 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         })  # fmt: skip
     shown = excited[np.linspace(0, len(excited) - 1, min(LINES, len(excited))).round().astype(int)]
     table = TextTable(
-        f"Frequency response x_1/x_b, {found.averages:.1f} independent averages",
+        f"Frequency response x_1/x_b (structure/base), {found.averages:.1f} independent averages",
         right=("f [Hz]", "|H1|", "± 2u", "|H2|", "|Hv|", "phase [deg]", "coherence"),
     )
     for line in sorted({*shown.tolist(), peak}):
@@ -189,39 +199,46 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     apart = found.frequency_hz[1]
     if found.sine:
         console.print(
-            f"the drive is a sine of about {top:g} Hz, so only this line is excited; without --frf, DT is measured "
-            "there with its uncertainty"
+            f"the drive is a sine of about {top:g} Hz, so only this line is excited; `impact-rig analyze` without "
+            "--frf measures DT there, with its uncertainty"
         )
     else:
-        console.print(f"{len(excited)} lines of {low:g} to {high:g} Hz are excited, largest at {top:g} Hz")
+        console.print(f"{len(excited)} lines from {low:g} to {high:g} Hz are excited; |H1| is largest at {top:g} Hz")
         console.print(*_resolution(found, arguments.window, apart), sep="\n")
     draw_figure(console, run, arguments, "frf", lambda: frequency_response(found, low - apart, high + apart))
     return 0
 
 
 def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
-    """Return sentences about the resolution of the lines."""
+    """Return sentences that compare the distance of the lines with the width of the resonance.
+
+    The last one is a warning if the lines are too far apart to show the resonance's peak.
+    """
     from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
 
     resonance = found.resonance
     lines = f"lines {apart_hz:.3g} Hz apart"
     if resonance is None:
-        return [f"{lines}; no single resonance fits this record, so their resolution is unknown"]
-    where = f"the resonance found in the record lies at {resonance.frequency_hz:.3f} Hz"
+        return [f"{lines}; no single resonance fits this record, so it is unknown whether they resolve its peak"]
+    where = f"the resonance in the record is at {resonance.frequency_hz:.3f} Hz"
     wide = f"{resonance.width_hz:.3g} Hz wide at half power"
-    said = [f"{lines}; {where}, ζ {resonance.damping_ratio:.5f}: it is {wide}"]
+    said = [f"{lines}; {where}, with a damping ratio of {resonance.damping_ratio:.5f}, and is {wide}"]
     if found.bias > 1.1 * RESOLVED:
-        above = f"{100 * found.bias:.0f} % above it" if found.bias < 1.0 else "several times as high"
+        above = f"{100 * found.bias:.0f} % higher than" if found.bias < 1.0 else "several times as high as"
         need = resolving_s(resonance, window)
         said.append(
-            f"WARNING: its peak is not resolved: the truth may lie {above}, which ± 2u contains; segments of "
-            f"{need:.0f} s, of a record of {SEGMENTS * need:.0f} s, leave {100 * RESOLVED:.0f} %"
+            f"WARNING: the lines do not resolve its peak: the true peak may be {above} the printed one, which ± 2u "
+            f"includes; --segment {need:.0f}, with a record of {SEGMENTS * need:.0f} s, reduces this error to "
+            f"{100 * RESOLVED:.0f} %"
         )
     return said
 
 
 def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `sine`."""
+    """Run `impact-rig analyze --sine`: print and draw the sine fitted to each channel, and the DT that follows.
+
+    Return exit code 1 if the sines of laser and base give no valid DT, else 0.
+    """
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
     from impact_rig.runs.wholes import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
@@ -261,7 +278,8 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         )  # fmt: skip
     console.print(table)
     console.print(
-        f"{found.excerpt}; phases are those of the samples to the {found.reference_name}'s, lag and skew in them"
+        f"{found.excerpt}; phases are relative to the {found.reference_name}, as sampled: without correction of the "
+        "sensors' lag and the channels' skew"
     )
     rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
     draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
@@ -270,20 +288,24 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         return 0
     if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
         console.print(
-            f"no DT from these scans: {measured.status.value} (docs/explanation/analysis.md explains)", style="red"
+            f"no DT from these scans, status {measured.status.value} (docs/explanation/analysis.md explains it)",
+            style="red",
         )
         return 1
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
     spec = _places(measured.u_transmissibility)
     console.print(
-        f"DT {measured.transmissibility:{spec}} ± {2 * measured.u_transmissibility:{spec}}, phase {phase:.2f}° ± "
-        f"{2 * u_phase:.2f}°, lag and skew corrected ({measured.status.value})"
+        f"DT {measured.transmissibility:{spec}} ± {2 * measured.u_transmissibility:{spec}} (2u), phase {phase:.2f}° ± "
+        f"{2 * u_phase:.2f}° (2u), corrected for lag and skew; status {measured.status.value}"
     )
     return 0
 
 
 def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
-    """Check that a figure can be written, before it is computed."""
+    """Check that the figure named `stem` can be written where `--figures` says, before the long analysis that it shows.
+
+    Without `--figures`, do nothing.
+    """
     if arguments.figures is not None:
         from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open
 
@@ -293,7 +315,15 @@ def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
 def draw_figure(
     console: Console, run: Run, arguments: argparse.Namespace, stem: str, draw: Callable[[], Figure]
 ) -> None:
-    """Draw and save a figure if figures are requested, and print its file."""
+    """Draw a figure and save it in the directory of `--figures`, and print each file; without `--figures`, do nothing.
+
+    Args:
+        console: output of the command.
+        run: run that the figure shows, named in its title.
+        arguments: parsed options, with the directory and the formats of the figures.
+        stem: name of the files, without suffix.
+        draw: function that returns the figure.
+    """
     if arguments.figures is None:
         return
     from impact_rig.runs.drawings import save, titled  # noqa: PLC0415  # heavy: after the run is open

@@ -34,7 +34,11 @@ _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Run `check`."""
+    """Run `impact-rig check`; return exit code 1 if an instrument fails the check of `--instruments`, else 0.
+
+    Raises:
+        ConfigError: the configuration is invalid.
+    """
     config = load_config(arguments.path)
     try:
         Rig(config)  # individually valid values may be jointly invalid
@@ -43,8 +47,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     law = from_config(config.contact)
     console = Console(quiet=arguments.json)
     console.print(
-        f"{arguments.path}: valid; contact law {config.contact.law}, restitution nominal {law.restitution:g}, "
-        f"realised {law.realised_restitution():.4f}"
+        f"{arguments.path}: valid; contact law {config.contact.law}, coefficient of restitution {law.restitution:g} "
+        f"(configured), {law.realised_restitution():.4f} (of the law's impacts)"
     )
     checks = check_known_input(config) if arguments.instruments else []
     if arguments.json:
@@ -60,8 +64,8 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None:
     table = TextTable(
-        title="A known sine on every channel, against the certificate",
-        caption="residual: rms of the rest, relative to the limit of noise and curvature",
+        title="Response of every channel to a known sine, compared with its calibration certificate",
+        caption="residual: rms of the readings minus the fitted sine, in % of the limit for noise and nonlinearity",
     )
     for heading in ("channel", "gain error", "limit", "phase", "residual", "polarity", ""):
         table.add_column(heading, justify="left" if heading in {"channel", ""} else "right", no_wrap=True)

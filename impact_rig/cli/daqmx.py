@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig daqmx`: the rig as a board for scripts that use NI's `nidaqmx` package."""
+"""Command `impact-rig daqmx`: server that offers the rig as a DAQ board to scripts with NI's `nidaqmx` package."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from impact_rig.rig.config import RigConfig, load_config
 
 
 def run_daqmx(arguments: argparse.Namespace) -> int:
-    """Run `daqmx`."""
+    """Run `impact-rig daqmx`: serve the rig to scripts until a signal ends the program."""
     from impact_rig.driver import daqmx_board, daqmx_server  # noqa: PLC0415  # load compiled code
 
     if not 0 <= arguments.port <= 65535:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig export`: a table of a run, a campaign, a map or a study of dynamics as a file."""
+"""Command `impact-rig export`: a table of a run, a campaign, a map or a study of dynamics, written to a file."""
 
 from __future__ import annotations
 
@@ -43,13 +43,19 @@ def _exporters() -> Iterator[Exporter]:
 
 
 def run_export(arguments: argparse.Namespace) -> int:
-    """Run `export`."""
+    """Run `impact-rig export`: write the requested table to a file, print its path and return exit code 0.
+
+    Raises:
+        ConfigError: the directory has no table of that name.
+        RecordingError: the file cannot be written, or the run cannot be read.
+    """
     path, target = arguments.path, arguments.target
     tables = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
     if tables is not None:
         table = tables.get(arguments.topic)
         if table is None:
-            raise ConfigError(f"{path} holds {', '.join(tables) or 'nothing yet'}, got {arguments.topic!r}")
+            listed = f"the tables {', '.join(tables)}" if tables else "no tables yet"
+            raise ConfigError(f"{path} has no table {arguments.topic!r}; it has {listed}")
         columns = table(target.suffix)
         written = write_columns(lambda: iter([columns]), target)
     else:

@@ -24,8 +24,8 @@ from impact_rig.rig.config import RigConfig, load_config
 
 
 def run_fmu(arguments: argparse.Namespace) -> int:
-    """Run `fmu`."""
+    """Run `impact-rig fmu`: write the configured rig as an FMU file, print its path and return exit code 0."""
     config = load_config(arguments.config) if arguments.config else RigConfig()
     write_fmu(config, arguments.path, arguments.fmi, arguments.kernels or FOLDER)
-    Console().print(f"FMI {arguments.fmi} co-simulation unit: {arguments.path}")
+    Console().print(f"wrote the rig as a co-simulation unit for FMI {arguments.fmi}: {arguments.path}")
     return 0

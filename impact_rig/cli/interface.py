@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig interface`: the interface as a document, and its incompatibilities with another version."""
+"""Command `impact-rig interface`: topics, services and parameters as a document, compared with another version's."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.system import files
 
 DOCUMENT = Path(__file__).parents[1] / "interface.json"
-"""Document of this version; `make generate` writes it from the tables of topics, services and parameters."""
+"""Path of this version's interface document; `make generate` writes it from topics, services and parameters."""
 MAX_BYTES = 5_000_000
 CLIENTS = ("client", "peers")  # publishers of the rig's inputs
 
@@ -35,7 +35,10 @@ Row = dict[str, Any]
 
 
 def run_interface(arguments: argparse.Namespace) -> int:
-    """Run `interface`."""
+    """Run `impact-rig interface`: print the interface of this version, or with `--against` its differences.
+
+    Return exit code 1 if a difference breaks clients of the other version, else 0.
+    """
     present = read(DOCUMENT)
     if not arguments.against:
         if arguments.json:
@@ -46,7 +49,7 @@ def run_interface(arguments: argparse.Namespace) -> int:
     try:
         breaks, other = differences(read(arguments.against), present)
     except (AttributeError, KeyError, TypeError) as error:
-        raise ConfigError(f"this is no document of an interface ({arguments.against})") from error
+        raise ConfigError(f"not a document written by `impact-rig interface --json` ({arguments.against})") from error
     if arguments.json:
         tell_json({"breaks": breaks, "other": other})
     else:
@@ -55,7 +58,7 @@ def run_interface(arguments: argparse.Namespace) -> int:
             console.print(f"breaks clients: {text}", style="red")
         for text in other:
             console.print(text)
-        console.print(f"{len(breaks)} differences break a client, {len(other)} do not")
+        console.print(f"{len(breaks)} differences break a client of the older version, {len(other)} do not")
     return 1 if breaks else 0
 
 
@@ -66,38 +69,45 @@ def _show(document: Mapping[str, Any]) -> None:
     for name, service in document["services"].items():
         table.add_row(name, service["type"].split("/")[-1], "service")
     counts = ", ".join(f"{len(rows)} of {node}" for node, rows in document["parameters"].items())
-    Console().print(table, f"parameters: {counts}; all of it with --json", sep="\n")
+    Console().print(table, f"number of parameters: {counts}; --json prints the whole interface", sep="\n")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Return the document of an interface.
+    """Read an interface document, as written by `impact-rig interface --json`.
 
     Raises:
-        ConfigError: the file cannot be read or is not JSON; the message names it.
+        ConfigError: the file cannot be read or is not JSON; the message names the file.
     """
     try:
         return dict(json.loads(files.read_bytes(path, MAX_BYTES)))
     except OSError as error:
         raise ConfigError(f"cannot read the interface: {error.strerror or error} ({path})") from error
     except (ValueError, TypeError, RecursionError) as error:
-        raise ConfigError(f"this is no document of an interface ({path})") from error
+        raise ConfigError(f"not a document written by `impact-rig interface --json` ({path})") from error
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return the changes that break a client of `old`, and the other differences, each as a text.
+    """Compare two interface documents.
+
+    Args:
+        old: document of the version for which a client was written.
+        new: document of the version that the client meets.
+
+    Returns:
+        The changes that break such a client, and all other changes, each as one line of text.
 
     Raises:
-        AttributeError, KeyError, TypeError: one of them is not a document of an interface.
+        AttributeError, KeyError, TypeError: `old` or `new` is not an interface document.
     """
     before, after = dict(_rows(old)), dict(_rows(new))
     gone = [name for name in before if name not in after and _whole(name) not in set(before) - set(after)]
-    breaks = [f"{name} is not there any more" for name in gone]
+    breaks = [f"{name} was removed" for name in gone]
     other: list[str] = []
     for name, row in after.items():
         if name not in before:
             if _whole(name) not in set(after) - set(before):
                 needed = row["taken"] and row.get("required")
-                (breaks if needed else other).append(f"{name} is new" + " and must be given" * bool(needed))
+                (breaks if needed else other).append(f"{name} is new" + " and required" * bool(needed))
             continue
         for key in dict.fromkeys((*before[name], *row)):
             was, now = before[name].get(key), row.get(key)
@@ -108,7 +118,10 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[st
 
 
 def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
-    """Yield the rows that a client may rely on, by name; `taken` marks inputs from clients."""
+    """Yield name and properties of each topic, column, service and parameter of an interface document.
+
+    The additional property `taken` is true for what clients send to the rig.
+    """
     for name, topic in document["topics"].items():
         taken = topic["publisher"] in CLIENTS
         yield f"topic {name}", {**{key: value for key, value in topic.items() if key != "columns"}, "taken": taken}
@@ -122,22 +135,33 @@ def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
 
 
 def _whole(name: str) -> str | None:
-    """Return the topic of a column: if that is removed or new, its columns are not listed one by one."""
+    """Return the topic in the name of a column (`topic T, column C`), or None for any other name.
+
+    With it, the columns of a topic that is removed or new are not listed one by one.
+    """
     topic, column, _ = name.partition(", column ")
     return topic if column else None
 
 
 def _shown(value: object) -> str:
-    return "not said" if value is None else json.dumps(value, ensure_ascii=False)
+    return "not stated" if value is None else json.dumps(value, ensure_ascii=False)
 
 
 def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
-    """Return a check that a setting breaks clients that request more than is offered (OMG DDS 1.4, 2.2.3)."""
+    """Return a function for `_BREAKS`: whether a changed quality of service breaks clients (OMG DDS 1.4, 2.2.3).
+
+    DDS connects no subscriber that requests more than its publisher offers. So a topic of the rig breaks its
+    subscribers if the new value is `less`, and an input of the rig breaks its publishers if the new value is `more`.
+    """
     return lambda _was, now, row: bool(now == (more if row["taken"] else less))
 
 
 def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:
-    """Return a check that a bound breaks senders if the accepted range has shrunk."""
+    """Return a function for `_BREAKS`: whether a changed bound breaks clients, because the rig accepts fewer values.
+
+    Args:
+        sign: +1 for an upper bound, -1 for a lower one.
+    """
 
     def narrower(was: float | None, now: float | None, row: Row) -> bool:
         end = sign * math.inf
@@ -158,4 +182,7 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
 }
-"""Key of a row -> function that returns whether a change breaks a client (before, after, row); other keys always do."""
+"""Functions that tell whether a change of a property breaks a client, by property: (value before, value after, row).
+
+A change of any other property always does.
+"""

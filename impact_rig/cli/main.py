@@ -55,7 +55,7 @@ MOVED = {"loop": "drive", "play": "drive play", "frf": "drive frf"}
 
 @functools.cache
 def commands() -> dict[str, EntryPoint]:
-    """Return the installed commands by name, in the order of the help."""
+    """Return the entry points of the installed subcommands by name, in the order in which the help lists them."""
     from importlib.metadata import entry_points  # noqa: PLC0415  # after the signals are taken
 
     ordered = (*itertools.chain.from_iterable(HEADINGS.values()), *HIDDEN)
@@ -65,7 +65,7 @@ def commands() -> dict[str, EntryPoint]:
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
-    """Return the parser of all subcommands, or of one of them."""
+    """Return the parser of the program with all subcommands, or, to start faster, with `command` alone."""
     import argparse  # noqa: PLC0415  # after the signals are taken
 
     import impact_rig  # noqa: PLC0415
@@ -73,7 +73,7 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=PROGRAM,
         usage=f"{PROGRAM} [-h] [--version] COMMAND ...",
-        description="The test rig of an impact damper as virtual hardware.",
+        description="Virtual vibration test rig of an impact damper: run it, record it, and analyse its recordings.",
         epilog="example: impact-rig lab --sample\n`impact-rig COMMAND --help` shows examples of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -101,7 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `impact-rig` and return the exit code.
 
     Args:
-        arguments: arguments of the command line; None means those of this program, which then also handles signals.
+        arguments: words of the command line without the program's name. None means those of this process; then
+            SIGINT and SIGTERM end the command in an orderly way, and a shell's request for completions is answered.
     """
     if arguments is not None:
         return _run(_parse(arguments), None)
@@ -121,7 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _encodable(error: UnicodeError) -> tuple[bytes, int]:
-    """Return the bytes of a file name unchanged, and other characters that the output cannot encode as in JSON."""
+    r"""Return bytes for characters that stdout cannot encode, and where encoding goes on: an error handler of `codecs`.
+
+    Bytes of a file name that is not UTF-8 stay unchanged. Other characters are written as in JSON, `±` as `\u00b1`.
+    """
     if not isinstance(error, UnicodeEncodeError):
         raise error
     units = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass").hex()
@@ -139,12 +143,12 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         if first in MOVED:
             parser.error(f"{first!r} is now `{PROGRAM} {MOVED[first]}`")
         hint = did_you_mean(first, known, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(known)}")
-        parser.error(visible(f"{first!r} is no command: {hint}"))
+        parser.error(visible(f"{first!r} is not a command: {hint}"))
     return parser.parse_args(arguments)
 
 
 def _complete() -> None:
-    """Answer a shell's request for completions and exit, if argcomplete is installed."""
+    """Answer a shell's request for completions and exit; return without an answer if argcomplete is not installed."""
     try:
         import argcomplete  # noqa: PLC0415  # an extra
     except ImportError:

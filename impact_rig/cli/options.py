@@ -34,7 +34,7 @@ PROCESS, ROS, RUNNING = "process", "ros", "running"
 
 
 def call(function: str, *arguments: object) -> int:
-    """Import a function, given as `module:function`, and return its exit code."""
+    """Import the function of a command, given as `module:function`, call it and return its exit code."""
     code: int = pkgutil.resolve_name(function)(*arguments)
     return code
 
@@ -47,15 +47,15 @@ def subcommand(
     examples: Sequence[tuple[str, str]],
     more: str = "",
 ) -> argparse.ArgumentParser:
-    """Register a subcommand and return its parser.
+    """Register a subcommand and return its parser, to which the caller adds options.
 
     Args:
-        commands: parsers of the program.
+        commands: commands to which it is added, as passed to the function that registers it.
         name: name of the subcommand.
         run: function that runs it and returns the exit code, as `module:function`; None if it has subcommands.
-        sentence: its effect, for the list of commands and the head of its page.
-        examples: commands without the program's name, and their purposes.
-        more: further information, printed below the examples.
+        sentence: effect of the subcommand, for the list of commands and the head of its help page.
+        examples: command lines without the program's name, each with its purpose, for the end of the help page.
+        more: further information, printed below the examples, such as exit codes.
     """
     lines = [f"  impact-rig {words}\n      {what}" for words, what in examples]
     head = "example:" if len(lines) == 1 else "examples:"
@@ -73,17 +73,17 @@ def subcommand(
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add the option for output as JSON."""
-    parser.add_argument("--json", action="store_true", help="print the results as JSON instead")
+    """Add the option `--json`, with which a command prints its results as JSON."""
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of text")
 
 
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the option for the directory of the results."""
+    """Add the option `--output`, the directory of the results; `what` is its help text."""
     parser.add_argument("--output", type=Path, metavar="DIR", help=what)
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options for figures: their directory and formats."""
+    """Add the options `--figures`, the directory of figures, with help text `what`, and `--format`, their formats."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
         "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
@@ -93,54 +93,64 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
-    """Add the arguments that select a recorded run and, if it contains several rigs, one of them."""
+    """Add the argument RUN, a recorded run, with help text `what`, and `--rig`, which selects one of its rigs."""
     parser.add_argument("path", type=Path, metavar="RUN", help=what)
     add_recorded_rig(parser)
 
 
 def add_recorded_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the option that selects a rig of a recording with several rigs."""
+    """Add the option `--rig`, which selects one rig of a recording with several rigs by its namespace."""
     parser.add_argument(
-        RIG_OPTION, dest="rig", metavar="NAMESPACE", help="rig to read (default: the only one in the recording)"
-    )
+        RIG_OPTION, dest="rig", metavar="NAMESPACE",
+        help="namespace of the rig to read, if several were recorded (default: the only one in the recording)",
+    )  # fmt: skip
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the options that select a rig."""
+    """Add the options that describe the rig which a command starts: `--config`, `--gap` and `--sphere-start`."""
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
     parser.add_argument(
         "--gap", type=GAP, metavar="LENGTH",
-        help="gap with its unit, e.g. 6mm; none: no sphere (default: the configuration's)",
+        help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured)",
     )  # fmt: skip
     parser.add_argument(
         "--sphere-start", choices=("left", "centre", "right"),
-        help="position of the sphere at the start (default: the configuration's)",
+        help="position of the sphere between the barriers at the start (default: as configured)",
     )  # fmt: skip
 
 
 def add_through(parser: argparse.ArgumentParser, ways: tuple[str, ...], what: str) -> None:
-    """Add the option that selects where the rig runs."""
+    """Add the option `--through`, which selects where the rig runs: one of `ways`, by default in this process.
+
+    Any other way makes the program check for ROS 2 before it runs the command. `what` is the help text.
+    """
     parser.add_argument("--through", choices=ways, default=PROCESS, help=what)
     parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
 
 
 def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add the options that select where the rig runs, also for a running rig."""
-    what = f"rig in this process (default), behind topics, or already running{needs}"
+    """Add `--through` with all three places where a rig can run, and `--namespace` for a rig that already runs.
+
+    `needs` is appended to the help text: what such a rig must be configured for.
+    """
+    what = (
+        "where the rig runs: process, in this program (default); ros, in ROS nodes that this program starts; "
+        f"running, a rig that already runs{needs}"
+    )
     add_through(parser, (PROCESS, ROS, RUNNING), what)
     parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
 
 
 def running_namespace(arguments: argparse.Namespace) -> str:
-    """Return the namespace of the running rig that the options of `add_way` select; empty for a rig to start.
+    """Return the namespace of the running rig that the options of `add_way` select; empty if the command starts a rig.
 
     Raises:
-        ConfigError: `--namespace` was given for a rig to start.
+        ConfigError: `--namespace` was given, but the command starts a rig.
     """
     from impact_rig.errors import ConfigError  # noqa: PLC0415  # not for the help
 
     if arguments.through == RUNNING:
         return arguments.namespace or NAMESPACE
     if arguments.namespace is not None:
-        raise ConfigError("--namespace belongs to a running rig: use it with --through running")
+        raise ConfigError("--namespace selects a running rig: use it only together with --through running")
     return ""

@@ -36,7 +36,7 @@ CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 
 
 def add_record(commands: Commands) -> None:
-    """Register `record`."""
+    """Add the command `impact-rig record`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "record", "impact_rig.cli.record:run_record",
         "record one run at one frequency and current, and measure its DT",
@@ -45,28 +45,34 @@ def add_record(commands: Commands) -> None:
             ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
             ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
         ],
-        "The last line is the directory of the run. Exit code 0: DT was measured; 1: not, for the printed reason.",
+        "The last printed line is the directory of the run. Exit code 0: DT was measured; 1: it was not, for the "
+        "printed reason.",
     )  # fmt: skip
     parser.add_argument(
         "--frequency", type=Quantity.of(FREQUENCY), metavar="HZ",
         help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
     )  # fmt: skip
     parser.add_argument(
-        "--current", type=CURRENT, metavar="A", help=f"peak current (default: {CURRENT_A}A; running rig: unchanged)"
-    )
+        "--current", type=CURRENT, metavar="A",
+        help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged)",
+    )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=positive("s"), default=SECONDS, metavar="S", help=f"rig time (default: {SECONDS:g})"
-    )
+        "--seconds", type=positive("s"), default=SECONDS, metavar="S",
+        help=f"length of the run in rig time (default: {SECONDS:g})",
+    )  # fmt: skip
     add_rig(parser)
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of noise and calibration errors")
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the configuration's)")
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of the instruments' noise and calibration errors (default: as "
+        "configured)",
+    )  # fmt: skip
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: as configured)")
     add_way(parser)
     add_output(parser, "directory of the run (default: runs/record_<time>)")
     add_json(parser)
 
 
 def add_info(commands: Commands) -> None:
-    """Register `info`."""
+    """Add the command `impact-rig info`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "info", "impact_rig.cli.recorded:run_info", "contents of a run, and whether it is complete",
         [
@@ -85,7 +91,7 @@ GROUP = "impact_rig.analyses"
 
 
 class Analysis(NamedTuple):
-    """Alternative analysis of a run, selected by an option."""
+    """Analysis of a recorded run that an option of `impact-rig analyze` selects instead of the usual one."""
 
     name: str  # name of its option, without the dashes
     # function that adds the option; its default is None or False
@@ -94,12 +100,12 @@ class Analysis(NamedTuple):
 
 
 def analyses() -> Iterator[Analysis]:
-    """Return the installed analyses."""
+    """Return the analyses that the installed packages contribute to `impact-rig analyze`, one option each."""
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
 def add_analyze(commands: Commands) -> None:
-    """Register `analyze`."""
+    """Add the command `impact-rig analyze`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "analyze", "impact_rig.cli.analyze:run_analyze",
         "analyse a run again like the live node, and compare the results",
@@ -112,34 +118,39 @@ def add_analyze(commands: Commands) -> None:
         "1: different, or not readable.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("--all", action="store_true", help="also rows without a measurement, with the reason")
+    parser.add_argument("--all", action="store_true", help="also print rows that have no value of DT, with the reason")
     add_run(parser)
     instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
     for analysis in analyses():
         analysis.add(instead)
     parser.add_argument(
         "--segment", type=float, metavar="S",
-        help="length of a segment with --frf; the lines are 1/S Hz apart (default: as the resonance needs, "
-        "at most 2/5 of the record)",
+        help="length in seconds of the segments that --frf averages; the lines are 1/S Hz apart (default: as long as "
+        "resolving the resonance needs, at most 2/5 of the record)",
     )  # fmt: skip
     parser.add_argument(
         "--window", choices=WINDOWS, default="hann",
-        help="window of the segments with --frf; boxcar for a drive that repeats every segment (default: hann)",
+        help="window function of the segments of --frf; boxcar is for a drive that repeats every segment (default: "
+        "hann)",
     )  # fmt: skip
     parser.add_argument(
-        "--damping", type=float, metavar="ZETA", help="damping ratio to resolve with --frf (default: as measured)"
-    )
+        "--damping", type=float, metavar="ZETA",
+        help="damping ratio of the resonance, from which --frf finds the length of its segments and whether they "
+        "resolve the peak (default: estimated from the record)",
+    )  # fmt: skip
     add_figures(
         parser,
-        "also draw the last settled measurement (time traces, phase plane, spectrum) and the curves, or the "
-        "result of the chosen option",
+        "directory for figures of the last settled measurement (time traces, phase plane, spectrum) and of DT against "
+        "frequency, or of the result of the chosen option",
     )
 
 
 FRF = Analysis(
     "frf",
     lambda instead: instead.add_argument(
-        "--frf", action="store_true", help="frequency response x_1/x_b of a chirp or noise: H1, H2, Hv, coherence"
+        "--frf",
+        action="store_true",
+        help="frequency response x_1/x_b (structure/base) of a run driven by a chirp or noise: H1, H2, Hv, coherence",
     ),
     "impact_rig.cli.analyze:run_frf",
 )
@@ -148,18 +159,20 @@ FRF = Analysis(
 SINE = Analysis(
     "sine",
     lambda instead: instead.add_argument(
-        "--sine", action="store_true", help="sines fitted to each channel in the last settled measurement"
+        "--sine",
+        action="store_true",
+        help="a sine of the drive frequency, fitted to each channel in the last settled measurement, and DT from it",
     ),
     "impact_rig.cli.analyze:run_sine",
 )
 
 
 def add_verify(commands: Commands) -> None:
-    """Register `verify`."""
+    """Add the command `impact-rig verify`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "verify", "impact_rig.cli.recorded:run_verify",
-        "re-simulate a run from its journal and compare all that the rig published",
-        [("verify runs/demo/gap_6mm", "`identical` or the first difference, then a line per topic")],
+        "re-simulate a run from its journal and compare every recorded topic of the rig bit for bit",
+        [("verify runs/demo/gap_6mm", "prints `identical` or the first difference, then a line per topic")],
         "Exit code 0: identical; 1: different, or not verifiable.",
     )  # fmt: skip
     add_run(parser)
@@ -167,9 +180,10 @@ def add_verify(commands: Commands) -> None:
 
 
 def add_replay(commands: Commands) -> None:
-    """Register `replay`."""
+    """Add the command `impact-rig replay`, with its options and help, to the commands of the program."""
     parser = subcommand(
-        commands, "replay", "impact_rig.cli.recorded:run_replay", "publish a run on its topics again, with /clock",
+        commands, "replay", "impact_rig.cli.recorded:run_replay",
+        "publish the messages of a run on its topics again, with /clock",
         [
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
@@ -178,15 +192,22 @@ def add_replay(commands: Commands) -> None:
     parser.set_defaults(needs_ros=lambda _: True)
     add_run(parser)
     parser.add_argument(
-        "--rate", type=_rate, default=1.0, metavar="X", help="multiple of real time, or max (default: 1)"
-    )
-    parser.add_argument("--peers", nargs="+", default=[], metavar="NODE", help="nodes that must not lose a block")
+        "--rate", type=_rate, default=1.0, metavar="X",
+        help="speed as a multiple of real time, or max: as fast as the peers follow (default: 1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--peers", nargs="+", default=[], metavar="NODE",
+        help="nodes for whose acknowledgement of each block the replay waits, so that they lose none",
+    )  # fmt: skip
     parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all)")
     parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
-    parser.add_argument("--paused", action="store_true", help="start paused, until the service /player/pause is called")
     parser.add_argument(
-        "--delay", type=_delay, default=1.0, metavar="S", help="wait for the discovery of subscribers [s] (default: 1)"
+        "--paused", action="store_true", help="start paused, until a call of /player/pause with `data: false`"
     )
+    parser.add_argument(
+        "--delay", type=_delay, default=1.0, metavar="S",
+        help="seconds to wait before the first message, so that subscribers find the topics (default: 1)",
+    )  # fmt: skip
 
 
 FASTEST = "max"
@@ -215,7 +236,7 @@ INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
 
 
 def add_recover(commands: Commands) -> None:
-    """Register `recover`."""
+    """Add the command `impact-rig recover`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "recover", "impact_rig.cli.recorded:run_recover",
         "save every intact chunk of a damaged or unfinished run",
@@ -233,7 +254,7 @@ def add_recover(commands: Commands) -> None:
 
 
 def add_export(commands: Commands) -> None:
-    """Register `export`."""
+    """Add the command `impact-rig export`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "export", "impact_rig.cli.export:run_export",
         "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
@@ -246,13 +267,15 @@ def add_export(commands: Commands) -> None:
     )  # fmt: skip
     add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
     parser.add_argument(
-        "topic", help="e.g. transmissibility/table; for a campaign or a map: points; for dynamics: the kind of study"
-    )
+        "topic",
+        help="table to write, for a run a topic, e.g. transmissibility/table; for a campaign or a map: points; for "
+        "dynamics: the kind of study",
+    )  # fmt: skip
     parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
 
 
 def add_fmu(commands: Commands) -> None:
-    """Register `fmu`."""
+    """Add the command `impact-rig fmu`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "fmu", "impact_rig.cli.fmu:run_fmu", "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",
         [
@@ -261,11 +284,12 @@ def add_fmu(commands: Commands) -> None:
         ],
     )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (default: the paper's rig)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
         "--kernels", type=Path, metavar="DIR",
-        help="folder of compiled kernels, for another machine (default: those of this package)",
+        help="folder of kernels compiled for another machine, on which the FMU is to run (default: the kernels of this "
+        "package)",
     )  # fmt: skip
 
 
@@ -273,7 +297,7 @@ PORT = 31763  # port of the NI gRPC Device Server
 
 
 def add_daqmx(commands: Commands) -> None:
-    """Register `daqmx`."""
+    """Add the command `impact-rig daqmx`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "daqmx", "impact_rig.cli.daqmx:run_daqmx", "serve the rig to scripts that use NI's nidaqmx package",
         [
@@ -284,42 +308,57 @@ def add_daqmx(commands: Commands) -> None:
     )  # fmt: skip
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
-    parser.add_argument("--namespace", help="namespace of a running rig (default: a rig is simulated here)")
     parser.add_argument(
-        "--device", nargs="+", default=["Dev1"], metavar="NAME", help="names of the board (default: Dev1)"
+        "--namespace", help="namespace of a running rig to serve (default: this program simulates a rig)"
     )
     parser.add_argument(
-        "--host", default="127.0.0.1", help="address to serve; others can then drive the rig (default: %(default)s)"
+        "--device", nargs="+", default=["Dev1"], metavar="NAME",
+        help="device names by which scripts may address the board (default: Dev1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--host", default="127.0.0.1",
+        help="address on which the server listens; with any other one, other machines can drive the rig (default: "
+        "%(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=PORT,
+        help="port on which the server listens; 0: any free one (default: %(default)s)",
     )
-    parser.add_argument("--port", type=int, default=PORT, help="port to serve; 0: any free one (default: %(default)s)")
 
 
 def add_check(commands: Commands) -> None:
-    """Register `check`."""
+    """Add the command `impact-rig check`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "check", "impact_rig.cli.check:run_check", "validate a configuration file without starting anything",
         [
-            ("check config/nominal.yaml", "names key, value, range and file of a mistake"),
-            ("check my_rig.yaml --instruments", "also puts a known sine into every channel"),
+            ("check config/nominal.yaml", "prints that it is valid, or key, value, range and file of a mistake"),
+            ("check my_rig.yaml --instruments", "also applies a known sine to every channel"),
         ],
     )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
     add_json(parser)
     parser.add_argument(
-        "--instruments", action="store_true", help="put a known sine into every channel: gain, phase, noise, polarity"
-    )
+        "--instruments", action="store_true",
+        help="also apply a known sine to every channel of the configured board, and check gain, phase, noise, polarity",
+    )  # fmt: skip
 
 
 def add_interface(commands: Commands) -> None:
-    """Register `interface`."""
+    """Add the command `impact-rig interface`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "interface", "impact_rig.cli.interface:run_interface",
-        "topics, services and parameters as a document, or its incompatibilities with another one",
+        "list topics, services and parameters, or what changed from an earlier version",
         [
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
             ("interface --against older.json", "changes that break a client of that version, and additions"),
         ],
-        "Exit code 1 if a change breaks clients; docs/reference/interface.md lists such changes.",
+        "Exit code 1 if a change breaks clients of the earlier version; docs/reference/interface.md lists the kinds of "
+        "such changes.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("--against", type=Path, metavar="FILE", help="document of an earlier version")
+    parser.add_argument(
+        "--against", type=Path, metavar="FILE",
+        help="JSON of an earlier version, written by its `interface --json`, with which this one is compared",
+    )  # fmt: skip

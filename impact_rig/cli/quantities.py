@@ -53,8 +53,8 @@ class Quantity:
 
     Attributes:
         about: unit and allowed range of the value.
-        words: texts for special values, such as `none`.
-        names: whether any other text is the name of a signal, returned unchanged.
+        words: values of special texts, such as 0 for `none`.
+        names: whether a text that is not a quantity is accepted as the name of a signal, and returned unchanged.
     """
 
     about: FieldInfo
@@ -70,7 +70,7 @@ class Quantity:
         """Return the value of an option's text in the SI unit.
 
         Raises:
-            argparse.ArgumentTypeError: the text is not such a quantity; argparse adds the option's name.
+            argparse.ArgumentTypeError: as `parse`; argparse adds the option's name to the message.
         """
         try:
             return self.parse(text)
@@ -78,10 +78,11 @@ class Quantity:
             raise argparse.ArgumentTypeError(str(error)) from error
 
     def parse(self, text: str) -> float | str:
-        """Return the value in the SI unit, exactly as if it were written in that unit.
+        """Return the value of `text` in the SI unit: `6mm` gives exactly the number 0.006.
 
         Raises:
-            ConfigError: the text is not such a quantity.
+            ConfigError: the text is not a number with an allowed unit and in the allowed range; the message names no
+                option.
         """
         if text in self.words:
             return self.words[text]
@@ -96,17 +97,17 @@ class Quantity:
         if written is None and unit == LENGTH:
             raise ConfigError(f"a length needs its unit, e.g. 6mm or 0.006m{self._or_words()}, got {text!r}")
         if written is not None and written not in powers:
-            raise ConfigError(f"its unit must be one of {', '.join(powers)}, got {text!r}")
+            raise ConfigError(f"the unit must be one of {', '.join(powers)}, got {text!r}")
         value = float(Decimal(number).scaleb(powers[written] if written else 0))
         if not self.about.allows(value):
             raise ConfigError(f"must be {self.about.range_text()} {unit}, got {text!r}")
         return value
 
     def number(self, text: str) -> float:
-        """Return the value of a quantity that is never the name of a signal.
+        """Return the value of `text` in the SI unit, for a parser without `names`.
 
         Raises:
-            ConfigError: the text is not such a quantity.
+            ConfigError: as `parse`.
         """
         value = self.parse(text)
         assert not isinstance(value, str)
@@ -115,25 +116,25 @@ class Quantity:
     def _with_unit(self) -> str:
         if self.about.unit == LENGTH:
             return f" with its unit, e.g. 6mm{self._or_words()}"
-        return f" of {self.about.unit}{self._or_words()}"
+        return f" in {self.about.unit}{self._or_words()}"
 
     def _or_words(self) -> str:
         return "".join(f", or {word}" for word in self.words)
 
 
 def positive(unit: str) -> Quantity:
-    """Return the parser of a quantity above zero."""
+    """Return a parser of quantities above zero in `unit`, for `type=` of an option."""
     return Quantity(FieldInfo("", unit, low=0.0, low_open=True))
 
 
 def add_field(
     parser: argparse.ArgumentParser, field: attrs.Attribute[Any], metavar: str | None = None, option: str = ""
 ) -> None:
-    """Add the option of a described field, with its default, unit, range and meaning.
+    """Add an option that sets a field of a configuration or plan, with the field's default, unit, range and meaning.
 
     Args:
         parser: parser of a command.
-        field: field of a configuration or a plan.
+        field: the field, made by `config.fields`.
         metavar: placeholder of its value; None if it is one of several words.
         option: name of the option (default: that of the field).
     """
@@ -154,4 +155,4 @@ def add_field(
 
 
 GAP = Quantity.of(attrs.fields(Barriers).gap_m, {NO_SPHERE_WORD: 0.0})
-"""Gap of the barriers; `none` means no sphere."""
+"""Parser of a gap between the barriers, a length with its unit; `none` means no sphere and gives 0."""

@@ -42,7 +42,7 @@ NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is n
 
 
 def run_record(arguments: argparse.Namespace) -> int:
-    """Run `record`."""
+    """Run `impact-rig record`; return exit code 1 if the run ended early or DT was not measured, else 0."""
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
     directory = run_directory(arguments.output, "record")
@@ -78,10 +78,14 @@ def run_record(arguments: argparse.Namespace) -> int:
 
 
 def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the configuration of a rig to start and its gap; for a running rig only the drive can be chosen.
+    """Return the configuration of the rig to start and its gap [m]; set default frequency and current in `arguments`.
+
+    For a running rig, which keeps its configuration and gap, the returned values have no meaning.
 
     Raises:
-        ConfigError: an option is not allowed here.
+        ConfigError: an option does not apply to a running rig, or the drive of the configuration is not a sine of
+            current.
+        CommandError: frequency or current is outside the limits of the rig to start.
     """
     if arguments.through == RUNNING:
         refuse_for_running(arguments, "config", "gap", "sphere_start", "seed", "scan_rate")
@@ -103,7 +107,7 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
 
 
 Passed = Generator[tuple[float, str], None, None]
-"""Rig time recorded so far [s], and the newest DT or the reason for waiting, as text; empty if neither is known."""
+"""Progress of a recording: rig time so far [s], and the newest DT or the reason for waiting as text, else empty."""
 
 
 def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, directory: Path) -> Passed:
@@ -130,7 +134,7 @@ def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, direc
 
 @attrs.frozen(eq=False)
 class RunMeasurements:
-    """Measurements of a run by its analysis."""
+    """Measurements of a recorded run, found by analysing it again, and its calibration."""
 
     everything: NDArray[np.void]  # rows of `transmissibility/table`
     rows: NDArray[np.void]  # settled rows at the last frequency and gap

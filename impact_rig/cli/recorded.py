@@ -30,7 +30,7 @@ from impact_rig.simtime import NS_PER_S
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Run `info`."""
+    """Run `impact-rig info`; return exit code 1 if the run is damaged or incomplete, else 0."""
     found = info(arguments.path)
     if arguments.json:
         tell_json(_info_content(found))
@@ -85,7 +85,11 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 
 
 def run_verify(arguments: argparse.Namespace) -> int:
-    """Run `verify`."""
+    """Run `impact-rig verify`; return exit code 1 if the simulation does not repeat the run bit for bit, else 0.
+
+    Raises:
+        RecordingError: the run cannot be read or verified.
+    """
     with open_run(arguments.path, arguments.rig) as run:
         from impact_rig.runs.verification import verify  # noqa: PLC0415
 
@@ -108,7 +112,7 @@ LISTED = 20  # largest number of places that are listed
 
 
 def run_recover(arguments: argparse.Namespace) -> int:
-    """Run `recover`."""
+    """Run `impact-rig recover`; return exit code `INCOMPLETE` if something of the run is missing, else 0."""
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:
         tell_json(_recover_content(report))
@@ -120,7 +124,7 @@ def run_recover(arguments: argparse.Namespace) -> int:
     for damage in report.damages[:LISTED]:
         console.print(f"{damage.file}, byte {damage.offset}, {damage.length} bytes: {damage.reason}")
     if report.damage_count > LISTED:
-        console.print(f"and {report.damage_count - LISTED} more places")
+        console.print(f"and {report.damage_count - LISTED} more damaged places")
     return 0 if report.complete else INCOMPLETE
 
 
@@ -128,16 +132,19 @@ def _recover_verdict(report: RecoverReport) -> str:
     if not report.complete:
         missing = "an unknown number of" if report.missing_messages is None else str(report.missing_messages)
         return (
-            f"{report.messages} messages given back; {missing} messages, {report.lost_bytes} bytes in "
-            f"{report.damage_count} places are missing"
+            f"{report.messages} messages saved; {missing} messages are missing, {report.lost_bytes} bytes in "
+            f"{report.damage_count} places"
         )
     if report.expected_messages is None:
-        return f"all {report.messages} messages that were found are given back; no index says how many there were"
-    return f"all {report.messages} messages are given back"
+        return (
+            f"all {report.messages} messages that were found are saved; whether there were more is unknown, because "
+            "the run has no index"
+        )
+    return f"all {report.messages} messages are saved"
 
 
 def _print_files(console: Console, report: RecoverReport) -> None:
-    numbers = ("messages\nback", "seconds\nback", "messages\nmissing", "seconds\nmissing", "bytes\nmissing")
+    numbers = ("messages\nsaved", "seconds\nsaved", "messages\nmissing", "seconds\nmissing", "bytes\nmissing")
     table = TextTable(left=("file",), right=("bytes", *numbers))
     for file in report.files:
         table.add_row(
@@ -172,7 +179,7 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Run `replay`."""
+    """Run `impact-rig replay`: publish the messages of a run until its end, or with `--loop` until a signal."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with open_run(arguments.path, arguments.rig) as opened:
         return _play(opened, arguments)

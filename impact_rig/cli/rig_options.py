@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the configuration of the selected rig, and its gap.
+    """Return the configuration of the rig that the options of `add_rig` describe, and its gap [m], 0 without a sphere.
 
     Raises:
         ConfigError: the file or an option is invalid, or an option would change a running rig.
@@ -76,8 +76,9 @@ def open_rig(
         config: configuration of a rig to start; behind topics it runs as fast as recorder, analysis and this program
             follow.
         record: directory of the run.
-        required: configuration values that a running rig must have.
-        analysis: parameters of an analysis to start with the rig; None means no analysis.
+        required: configuration values that a running rig must have; with other values it is rejected.
+        analysis: parameters of an analysis to start together with the rig; None means no analysis. Not used for a
+            running rig.
     """
     namespace = running_namespace(arguments)
     if arguments.through == PROCESS:

@@ -59,20 +59,20 @@ class Console(rich_console.Console):
     """Terminal that shows every text literally.
 
     Args:
-        quiet: whether to show nothing, because the results are printed as JSON.
-        stderr: whether to show progress in addition to the results.
+        quiet: whether to print nothing, because the command prints its results as JSON.
+        stderr: whether to write to stderr, for progress, which must not mix with the results on stdout.
     """
 
     def __init__(self, *, quiet: bool = False, stderr: bool = False) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, quiet=quiet, stderr=stderr)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print; a table wider than the terminal keeps all digits of its numbers, and the terminal wraps its lines."""
+        """Print objects as rich does, but never crop a `TextTable`: it keeps all digits, and the terminal wraps it."""
         whole = {"crop": False} if any(isinstance(one, TextTable) for one in objects) else {}
         super().print(*objects, **{**whole, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as it is drawn, also in tables."""
+        """Return a text as rich draws it: without markup, with control characters escaped. Rich calls this method."""
         return super().render_str(one_line(text, LONGEST_TEXT), **{**options, "markup": False, "emoji": False})
 
 
@@ -110,7 +110,7 @@ class TextTable(rich_table.Table):
     def __rich_console__(
         self, console: rich_console.Console, options: rich_console.ConsoleOptions
     ) -> rich_console.RenderResult:
-        """Draw the table; on a narrow terminal it is as wide as its numbers and its longest words."""
+        """Draw the table: on a narrow terminal it stays as wide as its numbers and longest words need."""
         for column in self.columns:
             words = (word for cell in column.cells for word in str(cell).split())
             longest = min(LONGEST_WORD, max(map(len, words), default=0))
@@ -120,26 +120,26 @@ class TextTable(rich_table.Table):
 
 
 def figure(value: float, spec: str, missing: str = "-") -> str:
-    """Format a measured value; a value that does not exist (NaN, infinite) becomes `missing`, never a number."""
+    """Format a measured value with `spec`; a value that does not exist (NaN or infinite) becomes the text `missing`."""
     return format(value, spec) if math.isfinite(value) else missing
 
 
 class Words(TextColumn):
-    """Column of a progress display: `str.format` with the task."""
+    """Text column of a progress display: a template such as `{task.description}`, filled in for each task."""
 
     def render(self, task: Task) -> Text:
-        """Return the text of a task."""
+        """Return the template filled in for a task, with control characters escaped. Rich calls this method."""
         return Text(visible(self.text_format.format(task=task)), style=self.style, justify=self.justify)
 
 
 class Steps:
-    """Progress as plain lines, if there is no terminal for a bar."""
+    """Progress of counted items as lines on stderr, if there is no terminal for a bar."""
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total, self._told = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line, but no more than about `LINES` of them."""
+        """Print the number of finished items and a state, unless about `LINES` evenly spaced lines do not need it."""
         every = max(1, self._total // LINES)
         if done // every > self._told // every or done == self._total > self._told:
             self._told = done
@@ -161,26 +161,26 @@ class Counted(Progress):
         self.end = "done"  # text at the end
 
     def show(self, done: int, state: str) -> None:
-        """Show the number of finished items."""
+        """Show the number of finished items and the present state."""
         self.update(self.task_ids[0], completed=done, state=state)
         if self.disable:
             self._steps.show(done, state)
 
     def stop(self) -> None:
-        """Show that all items are finished."""
+        """Show the text `end` instead of the state, and end the display."""
         self.update(self.task_ids[0], state=self.end)
         super().stop()
 
 
 def tell_json(content: object) -> None:
-    """Print results as JSON; numbers that do not exist are null."""
+    """Print results as JSON; numbers that do not exist (NaN or infinite) become null."""
     text = json.dumps(plain(content), indent=2, ensure_ascii=False)
     text = BYTES.sub(lambda byte: f"\\u{ord(byte[0]):04x}", text)
     print(text)  # noqa: T201  # a command line tool talks
 
 
 def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:
-    """Print the path of the results as the last line, or as JSON together with the results."""
+    """Print the directory of the results as the last line, or with `as_json` as a member of the results in JSON."""
     if as_json:
         tell_json({"directory": str(directory), **content})
     else:
@@ -188,5 +188,5 @@ def tell_results(directory: Path, content: Mapping[str, object], *, as_json: boo
 
 
 def tell_program(path: Path) -> None:
-    """Print a path as the last line: unchanged for a program that reads it, with visible characters for a terminal."""
+    """Print a path as the last line: unchanged for a program that reads it, on a terminal with visible characters."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks

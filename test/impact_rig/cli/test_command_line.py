@@ -128,7 +128,7 @@ def test_measurements_fit_80_columns_whole_and_without_nan(run: Path, capsys: py
     assert "…" not in said
     for unit in ("[Hz]", "[deg]", "[mm]"):
         assert said.count(unit) == 1
-    assert re.search(r"left out, as nothing was measured: 1 command_changed \(", said)
+    assert re.search(r"rows left out because they have no value of DT: 1 command_changed \(", said)
     assert max(map(len, said.splitlines())) <= 80
     assert main(["analyze", str(run), "--all"]) == 0
     assert re.search(r"^ +9\.100 .*command_changed", capsys.readouterr().out, flags=re.MULTILINE)

@@ -78,7 +78,7 @@ def test_a_trip_ends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     [
         (("--current", "30"), "current must be >= 0 and <= 21.21 A peak"),
         (("--config", "stream.yaml"), "drive.waveform sine"),
-        (("--namespace", "/rig"), "--namespace belongs to a running rig"),
+        (("--namespace", "/rig"), "--namespace selects a running rig"),
         (("--through", "running", "--gap", "6mm"), "--gap applies only to a rig"),
         (("--through", "running", "--seed", "2"), "--seed applies only to a rig"),
     ],

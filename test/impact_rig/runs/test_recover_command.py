@@ -46,7 +46,7 @@ def test_a_cut_file_is_told_with_a_code_of_its_own(record, tmp_path, capsys):
         back = run.message_count
     text = said(capsys)
     assert "RecoverReport(" not in text
-    assert f"{back} messages given back; an unknown number of messages" in text
+    assert f"{back} messages saved; an unknown number of messages" in text
     assert "the file ends inside a record" in text
     found = info(tmp_path / "out")
     assert found.recovered.source == "run"
@@ -84,7 +84,7 @@ def test_an_intact_run_is_given_back_with_code_zero_and_marked(record, tmp_path,
     with record() as writer:
         sent = fill(writer, 10)
     assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == 0
-    assert f"all {len(sent)} messages are given back" in said(capsys)
+    assert f"all {len(sent)} messages are saved" in said(capsys)
     found = info(tmp_path / "out")
     assert found.intact
     assert found.recovered is not None

@@ -87,7 +87,7 @@ def test_the_command_prints_and_draws_a_frequency_response(
     assert peak == pytest.approx(9.1, abs=0.06)
     assert f"wrote {tmp_path}/new/frf.png\n" in printed
     assert (tmp_path / "new" / "frf.png").read_bytes().startswith(b"\x89PNG")
-    assert "the truth may lie" in printed.replace("\n", " "), "20 s cannot resolve a width of 0.08 Hz"
+    assert "the true peak may be" in printed.replace("\n", " "), "20 s cannot resolve a width of 0.08 Hz"
     assert main(["analyze", str(swept), "--frf", "--figures", str(tmp_path / "new")]) == 1
     assert "frf.png exists already and is not overwritten" in capsys.readouterr().err
 
@@ -116,8 +116,8 @@ def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("segment", "words"),
     [
-        ("nan", "--segment must be > 0 and finite, got nan"),
-        ("-1", "--segment must be > 0"),
+        ("nan", "--segment must be a finite number of seconds > 0, got nan"),
+        ("-1", "--segment must be a finite number of seconds > 0, got -1"),
         ("200", "no frequency response of its last 100 s: segment must be 8 to 100000"),
         ("1e-3", "segment must be 8 to 100000"),
     ],

@@ -121,7 +121,7 @@ def test_backbone(rig, tmp_path, capsys):
         (["lock", "--start", "90"], "start_hz must be within"),
         (["hold", "base", "60e-6"], "target of base: a length needs its unit"),
         (["hold", "superior", "0mm"], "target of superior: must be > 0 m"),
-        (["hold", "current", "60um"], "target of current: its unit must be one of A, mA"),
+        (["hold", "current", "60um"], "target of current: the unit must be one of A, mA"),
     ],
 )
 def test_nonsense_is_one_line(words, message, tmp_path, capsys):

@@ -65,8 +65,8 @@ def test_a_length_is_the_same_number_in_every_unit(text: str, value: float) -> N
         ("0.6", "a length needs its unit, e.g. 6mm or 0.006m, or none, got '0.6'"),
         ("6", "a length needs its unit"),
         ("0", "a length needs its unit"),
-        ("6kg", "its unit must be one of m, cm, mm, um"),
-        ("6MM", "its unit must be one of"),
+        ("6kg", "the unit must be one of m, cm, mm, um"),
+        ("6MM", "the unit must be one of"),
         ("wide", "must be a number with its unit, e.g. 6mm, or none, got 'wide'"),
         ("nanmm", "must be a number"),
         ("inf", "must be a number"),
@@ -90,7 +90,7 @@ def test_other_quantities_may_omit_the_unit() -> None:
     assert positive("m/s²").parse("3m/s²") == positive("m/s²").parse("3 m/s2") == 3.0
     with pytest.raises(ConfigError, match="one of Hz, mHz, kHz"):
         frequency.parse("9.1 rpm")
-    with pytest.raises(ConfigError, match="must be a number of Hz"):
+    with pytest.raises(ConfigError, match="must be a number in Hz"):
         frequency.parse("fast")
 
 
@@ -163,7 +163,7 @@ def test_a_bare_length_is_refused_in_every_command(
         (["mass=1"], "must be CHANNEL=X with a channel of accelerometer, laser, base, current"),
         (["laser=0.005"], "laser: a length needs its unit"),
         (["current=2A", "base=-1mm"], "base: must be > 0 m"),
-        (["current=2mm"], "current: its unit must be one of A, mA"),
+        (["current=2mm"], "current: the unit must be one of A, mA"),
     ],
 )
 def test_wrong_limits_are_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -308,7 +308,7 @@ def test_points_are_exported(small, tmp_path, capsys):
     assert table["dt"].to_numpy()[0] == run.open_map(directory).values[UP]["dt"][0, 0]
     assert table["regime"].to_pylist()[0] == "periodic"
     assert main(["export", str(directory), "curve", str(tmp_path / "map.csv")]) == 1
-    assert f"{directory} holds points, got 'curve'" in capsys.readouterr().err
+    assert f"{directory} has no table 'curve'; it has the tables points" in capsys.readouterr().err
 
 
 def test_a_map_becomes_a_data_frame_and_a_dataset(small):
