@@ -13,9 +13,9 @@
 # limitations under the License.
 """Common style of all drawings: colours by meaning, type and lines, legends, light and dark themes.
 
-A figure is drawn once and exported as PNG, as SVG, and as SVG for a page. matplotlib is imported when one is drawn. It
-is drawn in the light colours; on a page each colour is a variable that follows the theme. The series colours are those
-of Okabe & Ito, which people with any colour vision can distinguish, darkened for a white background.
+A figure is drawn once, in the light colours, and exported to files and as SVG within an HTML page. On the page, each
+colour is a CSS variable that follows the theme. matplotlib is imported when the first figure is drawn. The series
+colours are those of Okabe & Ito, which people with any colour vision can distinguish, darkened for a white background.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ NAMES: Mapping[str, str] = {
     **{colour: f"s{number}" for number, colour in enumerate(SERIES)}, PERIODIC: "periodic", MODULATED: "modulated",
     CHAOTIC: "chaotic", QUIET: "quiet",
 }  # fmt: skip
-"""Name of the variable of each light colour."""
+"""Name of the CSS variable for each colour of the light theme."""
 
 DARK: Mapping[str, str] = {
     "ink": "#e6e9ed",
@@ -74,11 +74,11 @@ DARK: Mapping[str, str] = {
 }
 
 TAG = re.compile("<[^>]*>")
-"""A tag of an SVG by matplotlib, which escapes angle brackets everywhere else."""
+"""Pattern of a tag in an SVG by matplotlib, which escapes the angle brackets of texts."""
 WIDTH_INCH = 4.4
-"""Width of about a phone: shown there at its own size, text of 9 pt stays legible.
+"""Usual width of a drawing, about that of a phone, on which its text of 9 pt is then legible without enlarging.
 
-Wide pages show several next to each other.
+Wide pages show several drawings next to each other.
 """
 WIDE_INCH = 7.2  # width of a drawing with a page, or a file, of its own
 PIXELS_PER_INCH = 160
@@ -109,7 +109,7 @@ STYLE: dict[str, object] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the common style within a block or, as a decorator, a function."""
+    """Apply the common style of drawings to matplotlib within a block or, as a decorator, a function."""
     from cycler import cycler  # noqa: PLC0415  # a second of import: only for drawing
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -125,9 +125,9 @@ def new_axes(
     """Return a figure, free of pyplot's global state, and its axes one above the other; call this within `style`.
 
     Args:
-        height_inch: height of the figure.
+        height_inch: height of the figure [inch].
         ratios: ratios of the heights of the axes.
-        width_inch: width of the figure.
+        width_inch: width of the figure [inch].
         share: whether the axes share one horizontal scale.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # as above
@@ -140,7 +140,13 @@ def new_axes(
 
 
 def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
-    """Place a legend below the lowest axes of a figure, where it hides nothing; entries of `others` come first."""
+    """Place one legend for several axes below the lowest ones of a figure, where it hides nothing.
+
+    Args:
+        axis: lowest axes of the figure.
+        columns: number of columns of the legend.
+        others: further axes, whose entries are listed first; equal labels are listed once.
+    """
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
 
     entries: dict[str, Any] = {}  # a case that several axes show is one entry
@@ -159,20 +165,20 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
 
 @attrs.frozen(eq=False)
 class Line:
-    """Data of one case in a drawing, for readers who need the numbers."""
+    """Numbers of one case in a drawing, such as a curve, for the CSV file next to the figure."""
 
     label: str  # label of the case in the legend
     columns: Mapping[str, Sequence[float] | NDArray[Any]]  # name with unit -> values, all of one length
 
 
 class Drawn:
-    """Figure for a page and for files.
+    """Drawing with its caption and numbers, ready for an HTML page and for files.
 
     Args:
-        name: any text; a file name is derived from it.
-        figure: the drawing; its texts become plain ones, see `plain_texts`.
-        caption: sentence(s) below it, which also serve as alternative text.
-        lines: the numbers in it.
+        name: name of the drawing, any text; its file names are derived from it.
+        figure: matplotlib figure, whose texts `plain_texts` changes.
+        caption: sentence(s) below the drawing, which also serve as alternative text.
+        lines: numbers that the drawing shows, for its CSV file.
     """
 
     def __init__(self, name: str, figure: Figure, caption: str, lines: Sequence[Line] = ()) -> None:
@@ -183,26 +189,29 @@ class Drawn:
         figure.set_layout_engine("none")  # its layout is done, which is half the work
 
     def content(self, kind: str) -> bytes:
-        """Return the figure as the content of a file of one format."""
+        """Return the content of a file with the figure, in one of `names.FIGURE_FORMATS`."""
         return self.svg.encode() if kind == "svg" else rendered(self._figure, kind, self.name)
 
     @property
     def identifier(self) -> str:
-        """Identifier of the drawing in a page."""
+        """HTML identifier of the drawing, which also begins all identifiers within its SVG on a page."""
         return f"f-{names.identifier(self.name)}"
 
     def inline(self) -> str:
-        """Return the drawing as an element of a page, with colours as variables and unique identifiers."""
+        """Return the drawing as an `svg` element for an HTML page, with colours as variables and unique identifiers."""
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)
         return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
 
     def _of_page(self, tag: re.Match[str]) -> str:
-        """Return a tag for use in a page: several drawings share the page, but not their identifiers."""
+        """Return an SVG tag for use in a page: colours become variables, and `identifier` precedes the tag's own one.
+
+        So no two drawings of a page have an identifier in common.
+        """
         return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
-        """Return the numbers as CSV, one value per row; empty if there are none."""
+        """Return the numbers of all `lines` as CSV, one row per point with its case; empty if there are none."""
         columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -217,7 +226,7 @@ class Drawn:
         return text.getvalue()
 
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
-        """Write the figure in some formats and, if it has numbers, as CSV."""
+        """Write the figure to a folder, one file per format, and its numbers, if any, as a CSV file."""
         for kind in formats:
             with files.atomic_write(folder / f"{self.name}.{kind}") as file:
                 file.write(self.content(kind))
@@ -226,9 +235,9 @@ class Drawn:
 
 
 def rendered(figure: Figure, kind: str, name: str) -> bytes:
-    """Return a figure as the content of a file, in one of `names.FIGURE_FORMATS`.
+    """Return the content of a file with a figure in the format `kind`, one of `names.FIGURE_FORMATS`.
 
-    Equal drawings and names give equal bytes.
+    Equal drawings with equal `name` give equal bytes.
     """
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -245,9 +254,9 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
 
 
 def plain_texts(figure: Figure) -> None:
-    """Make sure that no text of a figure is a formula, a command or wider than the figure; call this before layout.
+    """Change the texts of a figure so that none is a formula or command, or wider than the figure; call before layout.
 
-    Titles, labels and legends contain names from outside. Numbers at the axes are matplotlib's own.
+    Titles, labels and legends may contain names from outside. The numbers at the axes, which matplotlib writes, stay.
     """
     titles, labels, legends = [*figure.texts], [], [*figure.legends]
     for axis in figure.axes:
@@ -265,19 +274,19 @@ def plain_texts(figure: Figure) -> None:
 
 @contextlib.contextmanager
 def any_glyph() -> Iterator[None]:
-    """Accept names in scripts that the font lacks: a PNG shows boxes, an SVG contains the text."""
+    """Suppress matplotlib's warning about characters that its font lacks: a PNG shows boxes, an SVG has the text."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
 def variables(dark: bool) -> str:
-    """Return the declarations of all colours for one theme."""
+    """Return the CSS declarations of all colour variables, for the dark or the light theme."""
     return " ".join(f"--{name}: {DARK[name] if dark else light};" for light, name in NAMES.items())
 
 
 def themed(svg: str) -> str:
-    """Return a drawing with colours as variables of the page."""
+    """Return an SVG text in which each colour of the light theme is replaced by its CSS variable."""
     for light, name in NAMES.items():
         svg = svg.replace(light, f"var(--{name})")
     return svg

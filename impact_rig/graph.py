@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Description of the graph: nodes with their topics, services and clock, and the names that a launch file remaps.
+"""Description of a rig's ROS graph: nodes with their topics, services and clock, and names that a launch file remaps.
 
 With `impact_rig.topics` it is the one source of `docs/reference/interface.md`, `interface.json`, the SROS2 policy, the
-picture of the nodes and the remappings of the launch files. Tests compare it with the running nodes and ask every
-service in every situation. It needs no ROS.
+picture of the nodes and the remappings of the launch files. Tests compare it with the running nodes and call every
+service in every situation. The module works without ROS.
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ def resolve(name: str, namespace: str = "/", node: str = "") -> str:
 
 
 def frame_prefix(namespace: str, given: str = "") -> str:
-    """Return the prefix of a rig's frames, which keeps those of two rigs apart.
+    """Return the prefix of the names of a rig's tf frames, by which several rigs can share one tf tree.
 
     Args:
-        namespace: namespace of the node; `/left/rig` gives `left/rig/`.
-        given: `output.frame_prefix`, which replaces it unless empty; `/` gives none, as tf2 accepts no leading slash.
+        namespace: namespace of the rig node; `/left/rig` gives `left/rig/`.
+        given: configuration value `output.frame_prefix`. Unless empty, it is returned without leading slashes, which
+            tf2 does not accept; so `/` gives no prefix.
     """
     if given:
         return given.lstrip("/")
@@ -58,23 +59,27 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
 
 def clock_remapping(clock: str) -> tuple[str, str]:
-    """Return the remapping that gives a node its clock.
+    """Return the remapping (from, to) by which a node follows the topic `clock` instead of `/clock`.
 
-    ROS has one global `/clock`, but the rig times of two rigs differ. A relative name gives each namespace its own.
+    ROS has one global `/clock`, but the rig times of two rigs differ. With the relative name `clock`, each namespace
+    has a clock of its own.
     """
     return topics.CLOCK.name, clock
 
 
 STATE_PUBLISHER_REMAPPINGS = (
     (topics.JOINT_STATES.name.rpartition("/")[2], topics.JOINT_STATES.name),
-    # the description of the rig follows its gap, so this node must not publish another one under that name
+    # the rig publishes its description again when its gap changes: there must be no second one under that name
     (topics.ROBOT_DESCRIPTION.name, f"robot_state_publisher/{topics.ROBOT_DESCRIPTION.name}"),
 )
-"""Remappings of robot_state_publisher: it reads the true joint positions."""
+"""Remappings (from, to) of robot_state_publisher, by which it reads the true joint positions of a rig.
+
+Its own description gets another name, so that only the rig publishes `robot_description`.
+"""
 
 
 class Situation(enum.StrEnum):
-    """Situation of a node: a lifecycle state, and within `active` the differences that matter to its inputs."""
+    """Situation of a node: its lifecycle state, and within `active` what decides which inputs it accepts."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -91,14 +96,14 @@ _ANY = frozenset(Situation)
 
 @attrs.frozen
 class Input:
-    """Service or command topic of a node."""
+    """Service or command topic of a node, with the situations in which the node accepts it."""
 
     name: str  # topic, or private service name
     type_name: str  # ROS interface; empty for a topic, whose type the table of topics has
     node: str  # node that accepts it
     doc: str  # its effect
     taken: frozenset[Situation]
-    """Situations in which it is accepted; in others it is rejected with a message and counted."""
+    """Situations in which the node accepts the input; in all others it rejects and counts it, with a message."""
 
 
 COMMANDS = (
@@ -120,24 +125,24 @@ SERVICES = (
         "~/step",
         TRIGGER,
         "rig",
-        "Advance by `step.blocks`, while paused or with `time.mode: lockstep`; answered when the last block is "
-        "published and acknowledged by all `time.peers`. A paused rig stays paused.",
+        "Advance rig time by `step.blocks` blocks, while paused or with `time.mode: lockstep`; answered when the last "
+        "block is published and acknowledged by all `time.peers`. A paused rig stays paused.",
         _ACTIVE,
     ),
     Input(
         "~/reset",
         TRIGGER,
         "rig",
-        "Start again with the present configuration: scan 0, everything at rest; stamps continue, a new journal "
-        "begins.",
+        "Start the simulation again with the present configuration: scan 0, everything at rest; stamps continue, a new "
+        "journal begins.",
         _ACTIVE - {Situation.LATCHED},
     ),
     Input(
         "~/stop",
         TRIGGER,
         "rig",
-        "Emergency stop: ramp to zero within `shaker.stop_ramp_s`, and latch until `~/clear_trip`, even across "
-        "deactivation.",
+        "Emergency stop: ramp the drive amplitude to zero within `shaker.stop_ramp_s`, and latch: reject commands "
+        "until `~/clear_trip`, also after the node was deactivated.",
         _ACTIVE,
     ),
     Input(
@@ -151,7 +156,8 @@ SERVICES = (
         "~/pluck",
         TRIGGER,
         "rig",
-        "Lock the base and release x_1 from `pluck.displacement_m`: free decay until ~/reset.",
+        "Lock the inferior base and release the superior base from x_1 = `pluck.displacement_m`: free decay until "
+        "~/reset.",
         _ACTIVE,
     ),
     Input(
@@ -170,7 +176,7 @@ SERVICES = (
         "are absent.",
         frozenset({Situation.RUNNING}),
     ),
-    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the lock, and ramp the shaker to rest.", _ANY),
+    Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the phase lock, and ramp the shaker to rest.", _ANY),
     Input("~/stop", TRIGGER, "recorder", "Finish the recording; answered with its directory.", _ANY),
 )
 """All services except those of ROS itself (parameters, lifecycle)."""

@@ -78,7 +78,10 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 
 
 def quoted(value: object) -> str:
-    """Return a value for an error message: as Python writes it, NumPy numbers like any others, shortened."""
+    """Return a value as text for an error message: in Python's notation, shortened after 200 characters.
+
+    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`.
+    """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a number too large to represent"
     shown = repr(_plain(value))
@@ -94,7 +97,7 @@ def _plain(value: object) -> object:
 
 
 def file_name(text: str) -> str:
-    """Return a file name for a name; if the name must be changed, a digest keeps it unique.
+    """Return a safe file name for any name; if characters must be replaced, a digest of the name keeps it unique.
 
     Args:
         text: any name.
@@ -109,7 +112,10 @@ def file_name(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Return an identifier for HTML and SVG: ASCII letters, digits and `-`, starting with a letter."""
+    """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
+
+    If characters other than `_` must be replaced, a digest of the text keeps it unique.
+    """
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
         return plain
@@ -117,10 +123,10 @@ def identifier(text: str) -> str:
 
 
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
-    r"""Return a text for a drawing, in which only the symbols of this project are set as formulas.
+    r"""Return a text for matplotlib, at most `limit` characters, in which only this project's symbols are formulas.
 
-    The project's own labels contain symbols such as `$x_1$`, which cannot fail. Any other dollar sign stays a dollar
-    sign.
+    The project's own labels contain symbols such as `$x_1$`, which matplotlib can always set. Any other dollar sign is
+    escaped, so that a name from outside is drawn as it is.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)
@@ -130,9 +136,9 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
 
 
 def csv_cell(value: object) -> object:
-    """Return a cell for a CSV file that no spreadsheet takes for a formula: such a text gets a leading apostrophe.
+    """Return the content of a CSV cell, with an apostrophe before a text that a spreadsheet would run as a formula.
 
-    Numbers stay unchanged, also as texts.
+    Numbers, and texts that are numbers, stay unchanged.
     """
     if not isinstance(value, str):
         return value

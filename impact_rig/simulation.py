@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""First simulation without ROS: simulate the rig, read its instruments, measure DT, draw it.
+"""Simulation of a run in one call, without ROS: simulate the rig, read its instruments, measure DT, draw it.
 
 The analysis uses only what the rig publishes (calibration, accepted commands and scans), never the truth.
 """
@@ -75,7 +75,7 @@ class Record:
 
     @property
     def transmissibility(self) -> tuple[float, float]:
-        """DT and its standard uncertainty u, from the newest window; NaN while it cannot be measured."""
+        """DT and its standard uncertainty, from the newest row of `measurements`; NaN where that has no value."""
         row = self.measurements[-1] if len(self.measurements) else np.full((), np.nan, TRANSMISSIBILITY)
         return float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
 
@@ -86,7 +86,11 @@ class Record:
         return f"DT {value:.2f} ± {COVERAGE * u:.2f} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Draw the newest half second of base, structure and acceleration; write it to `path` if given."""
+        """Draw base, structure and acceleration in the newest half second against time, and return the figure.
+
+        Args:
+            path: file to write as well, in the format of its suffix; None writes none.
+        """
         times = self.scans["time"]
         rows = (
             self.scans[times > times[-1] - DRAWN_S] if len(times) else self.scans
@@ -121,14 +125,14 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
         DT 63.57 ± 0.32 (2u) at 9.1 Hz
     """
     if not 0.0 < seconds <= LONGEST_S:
-        raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g}, got {seconds!r}")
+        raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g} s of rig time, got {seconds!r}")
     given = dict(parameters or {})
     if not any(name.startswith("drive.") for name in given):
         given["drive.amplitude"] = DRIVE_A
     config = from_flat(RigConfig(), given)
     least_s = config.daq.block_scans / config.daq.rate_hz
     if seconds < least_s:
-        raise ConfigError(f"seconds must be at least {least_s:g}, a block of the DAQ, got {seconds!r}")
+        raise ConfigError(f"seconds must be at least {least_s:g} s, one block of scans, got {seconds!r}")
     rig = LocalRig(config, analysis={}, kept_bytes=None)
     rig.step(math.floor(seconds * rig.rate_hz / rig.block_scans + 1e-9))
     assert rig.tracker is not None
@@ -143,7 +147,7 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
 
 
 def _since_start(rig: LocalRig, topic: topics.Topic) -> NDArray[np.void]:
-    """Return the rows of a topic, with `time` from the start of the rig."""
+    """Return all rows that a rig has published on a topic of tables, with `time` in seconds since stamp 0."""
     rows = rig.rows(topic.name)
     tables = rig.tables(topic.name)
     rows["time"] += np.repeat([table.stamp_ns / NS_PER_S for table in tables], [len(table.rows) for table in tables])

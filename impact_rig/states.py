@@ -36,12 +36,12 @@ KEYS = {
 
 
 class Word(enum.StrEnum):
-    """Word with its meaning."""
+    """Word that programs compare, with its meaning for people in `doc`."""
 
     doc: str
 
     def __new__(cls, word: str, doc: str = "") -> Self:
-        """Create a member from a word and its meaning."""
+        """Create a member of an enumeration, which equals the text `word` and has the meaning `doc`."""
         member = str.__new__(cls, word)
         member._value_ = word
         member.doc = doc
@@ -76,7 +76,7 @@ class AnalysisWord(Word):
         "scans arrive but DT cannot be measured now: the reason is a status of `transmissibility/table`",
     )
     AT_REST = "at_rest", "no drive"
-    SETTLING = "settling", "waiting for the response to the present drive"
+    SETTLING = "settling", "waiting until the response to the present drive has settled"
     MEASURING = "measuring", "the newest row of `transmissibility/table` applies to the present drive"
 
 
@@ -128,19 +128,31 @@ BY_NODE: dict[str, type[NodeWord]] = {
 class Status(Word):
     """Status of a row of `transmissibility/table`. Only the first six carry numbers; the others have NaN instead."""
 
-    OK = "ok", "A measurement."
-    NO_IMPACTS = "no_impacts", "A measurement without impacts: a sphere slower than considered could still strike."
-    ACCELEROMETER_OVER_RANGE = "accelerometer_over_range", "The displacements are sound, the impacts may not be."
-    ACCELEROMETER_UNSOUND = "accelerometer_unsound", "Dead, or contradicts the laser: the displacements are sound."
-    CURRENT_UNSOUND = "current_unsound", "Dead, disturbed, or changed alone: the displacements are sound."
+    OK = "ok", "DT of a settled response was measured."
+    NO_IMPACTS = (
+        "no_impacts",
+        "DT was measured, and no impact was detected while waiting; a very slow sphere could still strike.",
+    )
+    ACCELEROMETER_OVER_RANGE = (
+        "accelerometer_over_range",
+        "DT was measured, but the accelerometer was over range: the detected impacts may be wrong.",
+    )
+    ACCELEROMETER_UNSOUND = (
+        "accelerometer_unsound",
+        "DT was measured, but the accelerometer is dead or contradicts the laser.",
+    )
+    CURRENT_UNSOUND = (
+        "current_unsound",
+        "DT was measured, but the current channel is dead, disturbed, or changed while the motion did not.",
+    )
     NOT_SETTLED = "not_settled", "The longest wait is over and the response still changes: DT may drift."
     LOST_BLOCKS = "lost_blocks", "Blocks of scans were missing during the measurement."
     OVER_RANGE = "over_range", "A displacement or the current was at or beyond the range of its channel."
     COMMAND_CHANGED = "command_changed", "Frequency or current changed during the measurement."
     LABEL_CHANGED = "label_changed", "The gap label changed during the measurement."
     CALIBRATION_CHANGED = "calibration_changed", "The calibration changed during the measurement."
-    RESTARTED = "restarted", "The scans restarted."
-    NOT_FINITE = "not_finite", "A scan was not a number."
+    RESTARTED = "restarted", "The stamps of the scans jumped back during the measurement."
+    NOT_FINITE = "not_finite", "A scan contains a value that is NaN or infinite."
     NO_FREQUENCY = "no_frequency", "There is no drive frequency to measure at."
     TOO_FEW_CYCLES = "too_few_cycles", "The record holds too few cycles of the drive."
     SILENCE = "silence", "Neither base nor structure moves measurably."
@@ -156,7 +168,7 @@ class Status(Word):
     INVERTED_CHANNEL = "inverted_channel", "Laser or base has the wrong polarity: x_1 seems to lead x_b."
     IMPACTS = "impacts", "A free decay with impacts: its damping is not that of the structure."
     NOT_EXPONENTIAL = "not_exponential", "A free decay at two rates: no single damping ratio describes it."
-    NO_FIT = "no_fit", "A fit did not converge, or to something unphysical."
+    NO_FIT = "no_fit", "A fit did not converge, or converged to values that are physically impossible."
 
 
 SETTLED = (
@@ -166,9 +178,9 @@ SETTLED = (
     Status.ACCELEROMETER_UNSOUND,
     Status.CURRENT_UNSOUND,
 )
-"""Statuses of a settled response."""
+"""Statuses of rows with DT of a settled response."""
 MEASURED = frozenset({*SETTLED, Status.NOT_SETTLED})
-"""Statuses whose rows carry numbers."""
+"""Statuses of rows that have numbers: DT of a settled response, or of one that may still change."""
 
 
 class Regime(Word):

@@ -43,12 +43,17 @@ class Structure:
         0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, at_least=1e-3, at_most=100
     )
     natural_frequency_hz: float = quantity(
-        9.105, "Hz", "Natural frequency; the paper prints 9.1.", Origin.IDENTIFIED, at_least=0.1, at_most=1000
+        9.105,
+        "Hz",
+        "Natural frequency f_n of the superior base on its columns; the paper prints 9.1.",
+        Origin.IDENTIFIED,
+        at_least=0.1,
+        at_most=1000,
     )
     damping_ratio: float = quantity(
         0.0044974,
         "-",
-        "Damping ratio ζ = m / (1.8 m_1): only the product m_1 ζ is determined by the paper.",
+        "Damping ratio ζ of the structure; m / (1.8 m_1) with the sphere's mass m, as the paper determines only m_1 ζ.",
         Origin.IDENTIFIED,
         at_least=1e-6,
         below=1,
@@ -62,11 +67,17 @@ class Shaker:
     force_factor_n_a: float = quantity(
         5.3, "N/A", "Force per coil current K_f (= back-EMF per velocity, V s/m).", at_least=1e-3, at_most=1e4
     )
-    suspension_stiffness_n_m: float = quantity(6300.0, "N/m", "Table suspension k_f.", at_least=1, at_most=1e8)
-    damping_n_s_m: float = quantity(90.0, "N s/m", "Table damping c_f.", Origin.IDENTIFIED, at_least=1e-3, at_most=1e5)
-    armature_mass_kg: float = quantity(0.16, "kg", "Moving element m_a.", at_least=1e-3, at_most=100)
+    suspension_stiffness_n_m: float = quantity(
+        6300.0, "N/m", "Stiffness k_f of the table's suspension.", at_least=1, at_most=1e8
+    )
+    damping_n_s_m: float = quantity(
+        90.0, "N s/m", "Damping c_f of the table's suspension.", Origin.IDENTIFIED, at_least=1e-3, at_most=1e5
+    )
+    armature_mass_kg: float = quantity(
+        0.16, "kg", "Mass m_a of the shaker's moving element.", at_least=1e-3, at_most=100
+    )
     base_mass_kg: float = quantity(
-        1.84, "kg", "Inferior base m_b; 0 is the bare table.", Origin.IDENTIFIED, at_least=0, at_most=100
+        1.84, "kg", "Mass m_b of the inferior base; 0: the bare table.", Origin.IDENTIFIED, at_least=0, at_most=100
     )
     coil_resistance_ohm: float = quantity(
         1.6, "ohm", "Coil resistance (voltage drive only).", at_least=1e-3, at_most=1e4
@@ -75,10 +86,14 @@ class Shaker:
         764e-6, "H", "Coil inductance (voltage drive only).", at_least=1e-7, at_most=0.1
     )
     travel_limit_m: float = quantity(
-        6.35e-3, "m", "Table travel limit, either side: beyond it the interlock trips.", at_least=1e-6, at_most=1
+        6.35e-3,
+        "m",
+        "Largest travel of the table to either side; beyond it the interlock trips.",
+        at_least=1e-6,
+        at_most=1,
     )
     current_limit_a_rms: float = quantity(
-        15.0, "A", "Coil current limit, rms: larger commands are refused.", at_least=1e-3, at_most=1e4
+        15.0, "A", "Largest coil current, rms; larger commands are rejected.", at_least=1e-3, at_most=1e4
     )
     frequency_min_hz: float = quantity(
         5.0, "Hz", "Lowest accepted frequency command.", at_least=SLOWEST_HZ, at_most=FASTEST_HZ
@@ -101,20 +116,29 @@ class Drive:
     kind: str = choice(
         "current",
         ("current", "prescribed", "voltage"),
-        "Constant-current shaker, prescribed base motion (paper's Eq. 3) or constant-voltage shaker.",
+        "Quantity that a command sets: coil current, base motion (prescribed, paper's Eq. 3) or coil voltage.",
     )
     waveform: str = choice("sine", ("sine", "chirp", "random", "stream"), "Shape of the drive signal.")
     frequency_hz: float = quantity(
-        9.1, "Hz", "Frequency before the first command.", Origin.PAPER, at_least=SLOWEST_HZ, at_most=FASTEST_HZ
+        9.1,
+        "Hz",
+        "Drive frequency before the first command; a chirp starts there.",
+        Origin.PAPER,
+        at_least=SLOWEST_HZ,
+        at_most=FASTEST_HZ,
     )
     amplitude: float = quantity(
         0.0,
         "A, m or V",
-        "Amplitude before the first command, peak (rms for random): ampere, metre or volt by kind.",
+        "Drive amplitude before the first command, peak (rms for random): ampere, metre or volt by `drive.kind`.",
         at_least=0,
     )
     chirp_end_hz: float = quantity(
-        12.0, "Hz", "Frequency at which a chirp ends and starts again.", at_least=SLOWEST_HZ, at_most=FASTEST_HZ
+        12.0,
+        "Hz",
+        "Frequency at which a chirp ends; the next one then starts at `drive.frequency_hz`.",
+        at_least=SLOWEST_HZ,
+        at_most=FASTEST_HZ,
     )
     chirp_s: float = quantity(60.0, "s", "Duration of one linear chirp.", at_least=0.01, at_most=1e5)
     random_low_hz: float = quantity(
@@ -127,12 +151,14 @@ class Drive:
     stream_hold: str = choice(
         "first_order",
         ("first_order", "zero_order"),
-        "Drive between the samples of a stream: a straight line, or the sample before.",
+        "Drive between two samples of a stream: the straight line between them, or the earlier sample.",
     )
     stream_buffer_s: float = quantity(
         2.0, "s", "Length of the buffer for samples of a stream.", at_least=0.02, at_most=60
     )
-    stream_wait: bool = switch(True, "Whether the rig waits for samples of a stream in free_running and lockstep.")
+    stream_wait: bool = switch(
+        True, "Whether rig time waits for the next samples of a stream in free_running and lockstep."
+    )
     on_underrun: str = choice(
         "ramp",
         ("ramp", "hold", "trip"),
@@ -148,14 +174,23 @@ class Sphere:
     start: str = choice(
         "left",
         ("left", "centre", "right"),
-        "Place of the sphere after a reset or a change of the mechanics; it determines the attractor.",
+        "Position of the sphere after a reset or a change of the mechanics; the steady response can depend on it.",
     )
-    diameter_m: float = quantity(6.35e-3, "m", "Diameter.", Origin.PAPER, at_least=1e-4, at_most=1)
-    density_kg_m3: float = quantity(7850.0, "kg/m^3", "Density of steel: m = 1.052 g.", at_least=100, at_most=1e5)
-    young_modulus_pa: float = quantity(210e9, "Pa", "Young's modulus of steel.", at_least=1e6, at_most=1e13)
-    poisson_ratio: float = quantity(0.30, "-", "Poisson's ratio of steel.", at_least=0, at_most=0.5)
+    diameter_m: float = quantity(6.35e-3, "m", "Diameter of the sphere.", Origin.PAPER, at_least=1e-4, at_most=1)
+    density_kg_m3: float = quantity(
+        7850.0, "kg/m^3", "Density of the sphere; that of steel gives a mass of 1.052 g.", at_least=100, at_most=1e5
+    )
+    young_modulus_pa: float = quantity(
+        210e9, "Pa", "Young's modulus of the sphere (steel).", at_least=1e6, at_most=1e13
+    )
+    poisson_ratio: float = quantity(0.30, "-", "Poisson's ratio of the sphere (steel).", at_least=0, at_most=0.5)
     guide_friction: float = quantity(
-        0.0, "-", "Coulomb friction coefficient on the guide; the paper has none.", Origin.PAPER, at_least=0, at_most=2
+        0.0,
+        "-",
+        "Coulomb friction coefficient of the sphere on its guide; the paper has no friction.",
+        Origin.PAPER,
+        at_least=0,
+        at_most=2,
     )
 
 
@@ -171,8 +206,10 @@ class Barriers:
         at_least=1e-6,
         at_most=1,
     )
-    young_modulus_pa: float = quantity(70e9, "Pa", "Young's modulus of aluminium.", at_least=1e6, at_most=1e13)
-    poisson_ratio: float = quantity(0.33, "-", "Poisson's ratio of aluminium.", at_least=0, at_most=0.5)
+    young_modulus_pa: float = quantity(
+        70e9, "Pa", "Young's modulus of the barriers (aluminium).", at_least=1e6, at_most=1e13
+    )
+    poisson_ratio: float = quantity(0.33, "-", "Poisson's ratio of the barriers (aluminium).", at_least=0, at_most=0.5)
 
 
 @attrs.frozen(kw_only=True)
@@ -186,7 +223,7 @@ class Daq:
     clock_error_ppm: float = quantity(
         0.0,
         "ppm",
-        "DAQ clock error, > 0: slow. Rig time is DAQ time, so this scales the physics beneath it.",
+        "Error of the DAQ clock, > 0: slow. A second of rig time, which is DAQ time, is 1 + error seconds of motion.",
         at_least=-1000,
         at_most=1000,
     )
@@ -200,18 +237,23 @@ class Time:
     mode: str = choice(
         "realtime",
         ("realtime", "free_running", "lockstep"),
-        "Pace of rig time: the clock, the acknowledgements of the peers, or ~/step.",
+        "What advances rig time: the system clock, the acknowledgements of the peers, or calls of ~/step.",
         read_only=True,
         formerly={"freewheel": "free_running", "stepped": "lockstep"},
     )
     factor: float = quantity(1.0, "-", "Speed of realtime as a multiple of real time.", above=0, at_most=1000)
     peers: tuple[str, ...] = names(
-        (), "Peers whose daq/ack free_running and lockstep wait for; in realtime scan 0 waits for them."
+        (),
+        "Nodes whose daq/ack of each block the rig waits for in free_running and lockstep; in realtime, scan 0 waits "
+        "until they have subscribed.",
     )
     ack_window: int = integer(
         16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
     )
-    peer_timeout_s: float = quantity(3.0, "s", "Silence of a peer after which the rig pauses.", above=0)
+    peer_timeout_s: float = quantity(
+        3.0, "s", "Time without an acknowledgement from a peer after which it counts as silent and rig time stops.",
+        above=0,
+    )  # fmt: skip
     start_wait_s: float = quantity(
         120.0, "s", "Longest wait of realtime before scan 0 until all peers have subscribed.", at_least=0, at_most=3600
     )
@@ -239,17 +281,17 @@ class Time:
 
 @attrs.frozen(kw_only=True)
 class Step:
-    """Length of one call of ~/step."""
+    """Rig time by which one call of ~/step advances the rig."""
 
-    blocks: int = integer(1, "blocks", "Blocks by which ~/step advances.", at_least=1, at_most=1_000_000)
+    blocks: int = integer(1, "blocks", "Blocks by which one call of ~/step advances.", at_least=1, at_most=1_000_000)
 
 
 @attrs.frozen(kw_only=True)
 class Pluck:
-    """Displacement by ~/pluck."""
+    """Pluck test: free decay of the structure after ~/pluck."""
 
     displacement_m: float = quantity(
-        2e-3, "m", "Displacement from which the superior base is released.", at_least=-0.1, at_most=0.1
+        2e-3, "m", "Displacement x_1 from which ~/pluck releases the superior base.", at_least=-0.1, at_most=0.1
     )
 
 
@@ -258,17 +300,21 @@ class Output:
     """Publications in addition to the scans."""
 
     monitor_rate_hz: float = quantity(
-        50.0, "Hz", "Rate of the plotter-friendly monitor topics and truth/joint_states.", above=0, at_most=200
+        50.0,
+        "Hz",
+        "Messages per second of the monitor topics, for plotters, and of truth/joint_states.",
+        above=0,
+        at_most=200,
     )
     frame_prefix: str = text(
         "",
-        "Prefix of all frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",
+        "Prefix of all tf frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",
         read_only=True,
         pattern=r"[A-Za-z0-9_/]{0,100}",
         means="letters, digits, _ and /",
     )
-    truth_scan: bool = switch(False, "Publish truth/scan: the scans' instants without instruments.")
-    autostart: bool = switch(True, "Configure and activate by itself at start.", read_only=True)
+    truth_scan: bool = switch(False, "Publish truth/scan: the true motion at the instants of daq/scan.")
+    autostart: bool = switch(True, "Whether the node configures and activates itself at start.", read_only=True)
     command_timeout_s: float = quantity(
         0.0, "s", "Time without a command [rig time] after which the drive ramps to zero; 0 = off.", at_least=0
     )

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Read and write a tree of sections: YAML files, flat ROS parameters, plain mappings — all through one validator.
+"""Reader and writer of configurations as trees of sections: YAML files, ROS parameters, mappings, with one validator.
 
 A configuration file is a ROS 2 parameter file (`/**: ros__parameters: section: key: value`), so the same file works
 with `--ros-args --params-file`; the two outer keys may be left out. A parameter's name is `section.key`, e.g.
@@ -44,18 +44,22 @@ N = TypeVar("N", bound="dict[str, Any]")
 
 
 class Tree(Generic[Root]):
-    """A configuration whose root is the attrs class `root`: a field is a value, or a section of further ones."""
+    """Reader and writer of configurations of one kind: the attrs class `root`, whose fields are values or sections."""
 
     def __init__(self, root: type[Root]) -> None:
         self.root = root
 
     @functools.cached_property
     def _known(self) -> dict[str, FieldInfo]:
-        """Description of each value, by dotted name, in order."""
+        """Unit, range and meaning of each configuration value, by dotted name, in the order of the fields."""
         return dict(_walk(self.root, ""))
 
     def load(self, path: Path | str, overrides: Mapping[str, object] | None = None) -> Root:
-        """Return the configuration in the YAML file `path`, flat `overrides` (`section.key` -> value) on top.
+        """Return the configuration in a YAML file; a value that the file lacks has its default.
+
+        Args:
+            path: the file.
+            overrides: values by dotted name (`section.key`) that replace those of the file.
 
         Raises:
             ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message
@@ -72,7 +76,7 @@ class Tree(Generic[Root]):
             raise ConfigError(f"{error} ({path})") from error
 
     def parse(self, content: bytes, overrides: Mapping[str, object] | None = None) -> Root:
-        """Return the configuration in the content of such a file, see `load`.
+        """Return the configuration in the content of a YAML file; arguments and defaults are as in `load`.
 
         Raises:
             ConfigError: as `load`; the message names no file.
@@ -84,10 +88,10 @@ class Tree(Generic[Root]):
         return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
-        """Return `base` with the flat `changes` (`section.key` -> value) applied together: all of them, or none.
+        """Return a copy of `base` with `changes`, new values by dotted name (`section.key`), applied all together.
 
         Raises:
-            ConfigError: unknown key, bad value, or a combination that makes no sense.
+            ConfigError: unknown key, bad value, or values that contradict each other.
         """
         for name in changes:
             if name not in self._known:
@@ -99,11 +103,11 @@ class Tree(Generic[Root]):
         return changed
 
     def to_flat(self, config: Root) -> dict[str, Value]:
-        """Return every value by its dotted name: what a run's attachment and the node's parameters hold."""
+        """Return every value of `config` by its dotted name, which is also the name of the rig node's parameter."""
         return {name: operator.attrgetter(name)(config) for name in self._known}
 
     def differences(self, config: Root, before: Root | None = None) -> dict[str, Value]:
-        """Return the values of `config` that `before` (None: the default) has otherwise, by dotted name."""
+        """Return the values of `config` that differ from `before` (None: the default), by dotted name."""
         old = self._defaults if before is None else self.to_flat(before)
         return {name: value for name, value in self.to_flat(config).items() if value != old[name]}
 
@@ -112,12 +116,12 @@ class Tree(Generic[Root]):
         return self.to_flat(self.root())
 
     def fields(self) -> Iterator[tuple[str, FieldInfo, Value]]:
-        """Yield (dotted name, what it means, default) of every configuration value, in order."""
+        """Yield (dotted name, description, default) of every configuration value, in the order of the fields."""
         for name, about in self._known.items():
             yield name, about, self._defaults[name]
 
     def dump(self, config: Root) -> str:
-        """Return `config` as a ROS 2 parameter file, complete: `load` of it gives `config` again."""
+        """Return the text of a ROS 2 parameter file with all values of `config`, which `load` reads unchanged."""
         plain = {  # ROS has no empty typed lists
             name: list(value or ("",)) if isinstance(value, tuple) else value
             for name, value in self.to_flat(config).items()
@@ -127,7 +131,7 @@ class Tree(Generic[Root]):
 
 
 def parameters_in(text: str) -> dict[str, object]:
-    """Return the values in a configuration file, by dotted name, as they are written there.
+    """Return the values in the text of a configuration file, by dotted name, as written there and unchecked.
 
     Raises:
         ConfigError: the text is not YAML, or not a mapping of sections.
@@ -140,13 +144,18 @@ def parameters_in(text: str) -> dict[str, object]:
 
 
 def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:
-    """Return a nested mapping as one level of dotted names.
+    """Return the values of nested mappings by their dotted names.
+
+    Args:
+        tree: the outermost mapping.
+        prefix: names of the mappings around `tree`, each with a dot; set by the recursion.
+        depth: their number; set by the recursion.
 
     Raises:
-        ConfigError: a key is not a text, the top is not a mapping, or there are too many keys or levels.
+        ConfigError: a key is not a text, `tree` is not a mapping, or there are too many keys or levels.
     """
     if depth > MAX_DEPTH:
-        raise ConfigError(f"a configuration has sections in at most {MAX_DEPTH} levels")
+        raise ConfigError(f"sections are nested too deep: at most {MAX_DEPTH} levels are allowed")
     if not isinstance(tree, dict):
         raise ConfigError(f"a configuration must be a mapping of sections, got {type(tree).__name__}")
     flat: dict[str, object] = {}
@@ -159,12 +168,12 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
         else:
             flat[name] = value
         if len(flat) > MAX_KEYS:
-            raise ConfigError(f"a configuration has at most {MAX_KEYS} keys")
+            raise ConfigError(f"too many keys: at most {MAX_KEYS} are allowed in a configuration")
     return flat
 
 
 def nested(flat: Mapping[str, object], kind: type[N]) -> N:
-    """Return dotted names as mappings of this kind within each other."""
+    """Return values by dotted name as nested mappings of the class `kind`: `{"a.b": 1}` becomes `{"a": {"b": 1}}`."""
     tree = kind()
     for name, value in flat.items():
         *sections, key = name.split(".")
@@ -196,7 +205,10 @@ def _walk(section: type[attrs.AttrsInstance], prefix: str) -> Iterator[tuple[str
 
 
 def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:
-    """Rebuild `section` bottom-up with the nested `changes`, each once: cross-checks see only the final combination."""
+    """Return a copy of `section` with the nested `changes`; `prefix` is its dotted name, for messages.
+
+    Each section is built once, with all its changes, so that checks across values see only the final combination.
+    """
     values = {
         key: _evolve(getattr(section, key), value, f"{prefix}{key}.") if isinstance(value, _Nested) else value
         for key, value in changes.items()
@@ -208,4 +220,4 @@ def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix:
 
 
 class _Nested(dict[str, object]):
-    """Changes of a sub-section, as opposed to a value."""
+    """Changes within a sub-section, by key; the class distinguishes them from a value that is a mapping."""

@@ -14,4 +14,4 @@
 """Rig without Python: rig.c, the snapshot that initialises it, and the formats that embed it."""
 
 VERSIONS = ("3.0", "2.0")
-"""Versions of FMI."""
+"""Versions of the Functional Mock-up Interface (FMI) in which `write_fmu` can write a rig, the default first."""

@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig import __version__, embedded
+from impact_rig.blocks import TRUTH_SCAN_COLUMNS
 from impact_rig.embedded.snapshot import SETUP, snapshot
 from impact_rig.errors import ImpactRigError
 from impact_rig.kernels.build import FOLDER, OBJECT
@@ -41,24 +42,25 @@ PLATFORMS = {
     "3.0": {"x86_64": "x86_64-linux", "aarch64": "aarch64-linux"},
     "2.0": {"x86_64": "linux64", "aarch64": "linuxaarch64"},
 }
-"""Folder of the binaries, by version and machine."""
+"""Folder of the compiled rig within an FMU, by version of FMI and machine."""
 MODEL = "impact_rig"
 DRIVES = ("sine", "zero_order", "first_order")
-"""Kinds of drive, in the order of SNAPSHOT_DRIVE in fmu.c."""
+"""Kinds of drive: a sine, or a stream with either interpolation. fmu.c knows them by their index."""
 NAMES = {"current": "coil_current"}
-"""Names of outputs that differ from those of the quantities."""
+"""Output variables of an FMU whose names differ from those of the quantities, because an input has that name."""
 MOTION, IMPACTS, READINGS = 10, 30, 40
-"""First value references, see fmu.c."""
+"""First FMI value references of the motion, the number of impacts and the readings, as in fmu.c."""
 UNITS = dict(zip(QUANTITIES, ("m", "m", "m", "m/s", "m/s", "m/s", "m/s2", "m/s2", "m/s2", "A", "N", "N"), strict=True))
+ABOUT = {column.name: column.doc.rstrip(".") for column in TRUTH_SCAN_COLUMNS}
 
 
 def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = FOLDER) -> None:
     """Write a co-simulation unit of a rig.
 
     Args:
-        config: the rig; everything except the gap is fixed in the unit. With the waveform "stream" the input `current`
-            is a sample in each step, otherwise the amplitude of a sine.
-        path: path of the unit.
+        config: configuration of the rig; everything except the gap is fixed in the unit. With the waveform "stream" the
+            input `current` is a sample in each step, otherwise the amplitude of a sine.
+        path: path of the file to write.
         version: version of FMI.
         kernels: folder of the compiled kernels; those of another machine need a cross compiler in CC.
 
@@ -90,7 +92,7 @@ def _drive(config: RigConfig) -> str:
 
 
 def _compile(work: Path, kernels: Path) -> str:
-    """Compile the unit's library into a folder; return the target machine of the compiler."""
+    """Compile the FMU's shared library into the folder `work`; return the machine for which the compiler makes code."""
     compiler = shlex.split(os.environ.get("CC", "cc"))
     sources = [str(HERE / "fmu.c"), str(HERE / "rig.c"), str(kernels / OBJECT)]
     options = ["-shared", "-fPIC", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", f"-I{work}", f"-I{kernels}"]
@@ -107,7 +109,7 @@ def _compile(work: Path, kernels: Path) -> str:
 
 
 def _description(config: RigConfig, data: bytes, version: str, token: str) -> str:
-    """Return modelDescription.xml."""
+    """Return the content of an FMU's modelDescription.xml: its variables, their start values and its capabilities."""
     row = np.frombuffer(data[: SETUP.itemsize], SETUP)[0]
     names = [name.decode() for name in row["name"][: row["channels"]]]
     kind = config.drive.kind
@@ -118,15 +120,21 @@ def _description(config: RigConfig, data: bytes, version: str, token: str) -> st
     held = "during" if _drive(config) == "zero_order" else "at the end of"
     sample = [(2, "current", "input", "continuous", f"Sample of the {kind} drive {held} the step [SI]", 0.0)]
     step_s = 0.01 if _drive(config) == "sine" else 1.0 / config.drive.stream_rate_hz
-    about_gap = "Total gap; a new one puts the sphere at its start [m]"
+    about_gap = "Total gap between sphere and walls; a new value puts the sphere back to its start [m]"
     inputs = [
         *(sine if _drive(config) == "sine" else sample),
         (3, "gap", "parameter", "tunable", about_gap, config.barriers.gap_m),
     ]
     outputs = [
-        *((MOTION + i, NAMES.get(name, name), f"Motion [{unit}]") for i, (name, unit) in enumerate(UNITS.items())),
-        (IMPACTS, "impacts", "Contacts that have ended"),
-        *((READINGS + i, f"reading_{name}", "Newest reading [SI]") for i, name in enumerate(names)),
+        *(
+            (MOTION + i, NAMES.get(name, name), f"{ABOUT[name]} [{unit}]")
+            for i, (name, unit) in enumerate(UNITS.items())
+        ),
+        (IMPACTS, "impacts", "Number of contacts of the sphere with the walls that have ended"),
+        *(
+            (READINGS + i, f"reading_{name}", f"Newest reading of the channel {name} [SI]")
+            for i, name in enumerate(names)
+        ),
     ]
     variables = [_variable(version, *one) for one in inputs]
     for reference, name, about in outputs:

@@ -51,11 +51,11 @@ SETUP = np.dtype(
         ("at_stages", "S160"),
     ]
 )  # fmt: skip
-"""`setup` of rig.c."""
+"""Layout of the first part of a snapshot: the struct `setup` of rig.c."""
 
 
 def snapshot(config: RigConfig) -> bytes:
-    """Return the snapshot of a rig at rest.
+    """Return the bytes from which rig.c starts a rig of this configuration, at rest.
 
     Raises:
         ConfigError: rig.c does not support such a rig, or the kernels are not compiled.
@@ -85,7 +85,11 @@ def snapshot(config: RigConfig) -> bytes:
 
 
 def _check(config: RigConfig) -> None:
-    """Reject features that rig.c does not support."""
+    """Reject a configuration with features that rig.c does not support.
+
+    Raises:
+        ConfigError: the message names the configuration value and the allowed ones.
+    """
     for found, key, allowed in (
         (config.drive.waveform, "drive.waveform", ("sine", "stream")),
         (config.drive.amplitude, "drive.amplitude", (0.0,)),
@@ -98,7 +102,11 @@ def _check(config: RigConfig) -> None:
 
 
 def _name_of(pointer: Any) -> str:
-    """Return the name of a function of the contact law in the library."""
+    """Return the name under which the compiled kernels export a function of a contact law.
+
+    Raises:
+        ConfigError: the kernels are not compiled.
+    """
     at = getattr(pointer, "address", None)
     for name in kernels.exported:
         if at is not None and kernels.address(name) == at:

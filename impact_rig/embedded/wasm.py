@@ -47,15 +47,15 @@ RIG = (
     ),
     *("tick", "tick_s", "gap", "impacts", "state_size", "save", "restore"),
 )
-"""Functions of rig.h."""
+"""Functions of rig.h that the module exports, without their prefix `ir_rig_`."""
 
 
 def build_wasm(path: Path, keep: Path) -> None:
-    """Build the module.
+    """Build the kernels and rig.c as one WebAssembly module.
 
     Args:
-        path: path of the module.
-        keep: folder that keeps the translated kernels.
+        path: path of the module to write.
+        keep: folder in which the translated kernels are kept, so that the next build does not translate them again.
 
     Raises:
         SystemExit: the kernels cannot be translated.

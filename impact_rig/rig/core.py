@@ -67,10 +67,10 @@ DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; th
 
 
 def new_generator(config: RigConfig) -> FunctionGenerator:
-    """Return a new drive at its initial command.
+    """Return a new function generator at the configuration's initial frequency and amplitude.
 
     Raises:
-        ConfigError: the command exceeds the limits of the shaker.
+        ConfigError: the initial frequency or amplitude exceeds the limits of the shaker.
     """
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
@@ -97,17 +97,17 @@ def tried_model(config: RigConfig) -> Model:
     except (ArithmeticError, ValueError, SimulationError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"these values together cannot be simulated: {error}") from error
+        raise ConfigError(f"the mechanics with this combination of values cannot be simulated: {error}") from error
     if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
-        raise ConfigError("these values together give a motion that is not finite")
+        raise ConfigError("the mechanics with this combination of values moves to infinity in a trial simulation")
     return model
 
 
 def _check_together(config: RigConfig, model: Model) -> None:
-    """Check that the mechanics can resolve the combination of masses and modes.
+    """Check that the mechanics can be simulated with this combination of masses, stiffnesses and dampings.
 
     Raises:
-        ConfigError: the mechanics cannot resolve the combination.
+        ConfigError: the sphere outweighs the superior base, or a mode is too slow or too fast.
     """
     mass_kg, structure_kg = float(model.parameters["m"][0]), config.structure.mass_kg
     if mass_kg > structure_kg:
@@ -126,7 +126,7 @@ def _check_together(config: RigConfig, model: Model) -> None:
 
 @attrs.frozen(eq=False)
 class Block:
-    """Consecutive scans with their truth."""
+    """Block of consecutive scans of a rig, with the true motion and contacts during them."""
 
     number: int  # number of blocks since the start or reset
     first_scan: int  # index of the first scan since the start or reset
@@ -134,7 +134,7 @@ class Block:
     scan: Table  # `daq/scan`
     impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
     monitor_states: NDArray[np.void]
-    """True state at the monitor instants, rows of `blocks.TRUTH_SCAN`, time since the stamp of `scan`."""
+    """True motion at the instants of the monitor topics: rows of `blocks.TRUTH_SCAN`, time since `scan`'s stamp."""
     monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
     truth: Table | None  # `truth/scan`, if configured
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
@@ -198,22 +198,22 @@ class Rig:
 
     @property
     def frontier_ns(self) -> int:
-        """First time not yet simulated, on the command grid: the time at which an input would take effect."""
+        """First time that is not yet simulated [ns], on the command grid: an input made now takes effect there."""
         return self.start_ns + self._ticks * COMMAND_GRID_NS
 
     @property
     def frontier_sample(self) -> int:
-        """First scan that an input would act on."""
+        """Index of the first scan that an input made now acts on."""
         return -(-self._ticks * self.rate_hz // TICKS_PER_S)
 
     @property
     def next_block_ns(self) -> int:
-        """Stamp of the next block."""
+        """Stamp of the first scan of the next block [ns]."""
         return self._stamp(self._next_scan)
 
     @property
     def frequency_hz(self) -> float:
-        """Active drive frequency at the frontier."""
+        """Drive frequency at the frontier [Hz], the end of what is simulated."""
         return float(self._generator.frequency_hz)
 
     @property
@@ -233,7 +233,7 @@ class Rig:
 
     @property
     def simulation(self) -> Simulation:
-        """Simulation of the mechanics, for figures of diagnostics (energy balance)."""
+        """Simulation of the mechanics, from which diagnostics take the energy balance."""
         return self._simulation
 
     @property
@@ -255,11 +255,16 @@ class Rig:
             CommandError: the drive is not a stream.
         """
         if self._generator.stream is None:
-            raise CommandError(f"the drive is {self._drive.waveform}, not a stream: set drive.waveform and reset")
+            raise CommandError(
+                f"the drive is {self._drive.waveform}, not a stream: set drive.waveform to stream and reset the rig"
+            )
         return self._generator.stream
 
     def blocks_with_samples(self, most: int) -> int:
-        """Return how many of the next blocks the stream has samples for; all, if the rig does not wait for samples."""
+        """Return for how many of the next `most` blocks the stream has samples: so far may a rig that waits go on.
+
+        Return `most` if the drive is not a stream, or does not wait for samples (`drive.stream_wait`).
+        """
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
         if whole is None:
@@ -268,7 +273,11 @@ class Rig:
         return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
-        """Return `shaker/stream`, with the stamp of the next sample needed."""
+        """Return the table of the topic `shaker/stream`, with the stamp of the next sample needed.
+
+        Raises:
+            CommandError: the drive is not a stream.
+        """
         stream = self.stream
         buffered, playing = stream.buffered(), float(stream.state is StreamState.PLAYING)
         late, refused = self._late_samples, self._refused_blocks
@@ -276,11 +285,11 @@ class Rig:
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
 
     def block_end_ns(self, blocks: int) -> int:
-        """Return the time at which `blocks` more blocks are complete."""
+        """Return the rig time at which `blocks` more blocks are complete [ns]."""
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
     def info(self) -> Table:
-        """Return `daq/info`, with the time from which it applies as its stamp."""
+        """Return the table of the topic `daq/info`, the calibration, with the time from which it applies as stamp."""
         if self._certificate is None:
             self._certificate = self._chain.info()
         rows, stamp = self._certificate.copy(), self._stamp(self._info_sample)
@@ -290,7 +299,7 @@ class Rig:
     # Time
 
     def advance(self, until_ns: int) -> list[Block]:
-        """Simulate until every block that ends by `until_ns` is complete, and return those blocks.
+        """Simulate until every block that ends by the rig time `until_ns` is complete, and return those blocks.
 
         Ticks that end by then are simulated even if their block is incomplete, so a long block is not computed all at
         once. The last tick of a complete block is always simulated completely.
@@ -382,9 +391,11 @@ class Rig:
     # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
-        """Apply a commanded frequency and amplitude, and return the applied row.
+        """Apply a command to the drive at the frontier, and return the row that is published on `shaker/applied`.
 
-        The amplitude is in A peak, or m or V by `drive.kind`; rms for random drive.
+        Args:
+            frequency_hz: new frequency, for a sine only; None leaves it unchanged.
+            amplitude: new amplitude, peak (rms for random drive), in A, m or V by `drive.kind`. None: unchanged.
 
         Raises:
             CommandError: out of range, not finite, not accepted by the waveform (a frequency is for a sine alone), or
@@ -436,7 +447,7 @@ class Rig:
         return late
 
     def sample_at(self, stamp_ns: int) -> int:
-        """Return the number of the stream's sample at a time.
+        """Return the number of the stream's sample that is due at the rig time `stamp_ns`.
 
         Raises:
             CommandError: the time is more than a quarter of a sample off.
@@ -446,7 +457,10 @@ class Rig:
         off_ns = since - self.stream.time_ns(sample)
         if abs(off_ns) * rate * 4 > NS_PER_S:
             self._refused_blocks += 1
-            raise CommandError(f"a block must begin at a sample: {stamp_ns} ns is {off_ns} ns off the nearest")
+            raise CommandError(
+                f"the stamp of a block of samples must be the time of a sample: {stamp_ns} ns is {off_ns} ns off the "
+                "nearest one"
+            )
         return sample
 
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
@@ -509,14 +523,14 @@ class Rig:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
         """
         if self._latched is not None:
-            raise CommandError(f"cannot reset: latched by {self._latched}, ~/clear_trip first")
+            raise CommandError(f"cannot reset: the shaker is latched by {self._latched}; call ~/clear_trip first")
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the base, put x_1 at `displacement_m` and release it: free decay until the next reset.
+        """Lock the inferior base and release the superior base from x_1 = `displacement_m`: free decay until a reset.
 
         Raises:
-            CommandError: outside the range of `pluck.displacement_m`.
+            CommandError: `displacement_m` is outside the range of the parameter `pluck.displacement_m`.
         """
         try:
             Pluck(displacement_m=displacement_m)
@@ -558,7 +572,7 @@ class Rig:
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
-        """Return and drop the new rows of shaker/applied."""
+        """Return the tables for the topic `shaker/applied` since the last call, and drop them."""
         applied, self._applied = self._applied, []
         return applied
 
@@ -566,7 +580,7 @@ class Rig:
 
     @property
     def _drive(self) -> Drive:
-        """Drive since the last reset; `config.drive` applies at the next one."""
+        """Drive configuration at the last start or reset, which is still active; `config.drive` is that of the next."""
         return self._simulation.config.drive
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:
@@ -597,9 +611,9 @@ class Rig:
 
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
-            raise CommandError(f"the shaker is latched by {self._latched}: ~/clear_trip first")
+            raise CommandError(f"the shaker is latched by {self._latched}: call ~/clear_trip first")
         if self.plucked:
-            raise CommandError("the base is locked after a pluck: ~/reset first")
+            raise CommandError("the base is locked after a pluck: call ~/reset first")
 
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
         if self.plucked:
@@ -617,7 +631,10 @@ class Rig:
         self._add_applied()
 
     def _timeout_tick(self) -> int | None:
-        """Return the tick at which the drive ramps down because commands are missing."""
+        """Return the tick at which the drive ramps down for want of commands (`output.command_timeout_s`).
+
+        Return None if there is no timeout, or nothing to ramp down.
+        """
         timeout = self.config.output.command_timeout_s
         if timeout <= 0 or self._timed_out or self._latched is not None or self.target_amplitude == 0:
             return None

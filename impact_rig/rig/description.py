@@ -66,9 +66,9 @@ _SHOWN = operator.itemgetter(
 
 
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
-    """Return the published quantities of a true state.
+    """Return the values of a message on `truth/joint_states` for a true state, in the order of `JOINTS`.
 
-    Positions [m], velocities [m/s], contact force on each body [N].
+    They are positions [m], velocities [m/s], and the contact force on each body [N], positive to the right.
     """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere
@@ -76,7 +76,7 @@ def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
 
 
 def robot_description(config: RigConfig) -> str:
-    """Return the URDF of a rig."""
+    """Return the URDF of a rig as XML text: its bodies, joints and frames, with the dimensions of the configuration."""
     return _urdf(config.structure, config.shaker, config.sphere, config.barriers, config.instruments.laser)
 
 
@@ -96,7 +96,7 @@ def _urdf(structure: Structure, shaker: Shaker, sphere: Sphere, barriers: Barrie
 
 
 def _moving_base(robot: ET.Element, shaker: Shaker) -> None:
-    """Add the table with the armature; the columns are clamped to it."""
+    """Add the inferior base to the URDF: table, armature and the two columns as one body, with its joint."""
     link = _link(robot, BASE)
     _inertial(link, shaker.armature_mass_kg + shaker.base_mass_kg, _of_box(TABLE))
     _box(link, TABLE, (0.0, 0.0, 0.0), "steel")
@@ -106,7 +106,7 @@ def _moving_base(robot: ET.Element, shaker: Shaker) -> None:
 
 
 def _superior_base(robot: ET.Element, structure: Structure, sphere: Sphere, barriers: Barriers) -> None:
-    """Add the plate with the two barriers: the sphere touches them where x_2 - x_1 = ± gap / 2."""
+    """Add the superior base to the URDF: plate and barriers, which the sphere touches where x_2 - x_1 = ± gap / 2."""
     radius = 0.5 * sphere.diameter_m
     face = 0.5 * barriers.gap_m + radius
     plate = (max(TOP[0], 2.0 * (face + 2.0 * WALL[0])), TOP[1], TOP[2])
@@ -130,7 +130,10 @@ def _sphere(robot: ET.Element, sphere: Sphere) -> None:
 
 
 def _instruments(robot: ET.Element, setup: Laser) -> None:
-    """Add the frames of the readings; the accelerometer's is the superior base."""
+    """Add the frames `daq`, `laser` and `base_sensor`, to which readings refer, with the bodies of two sensors.
+
+    Readings of the accelerometer refer to the frame of the superior base.
+    """
     _fixed(robot, "daq", (0.0, 0.0, 0.0), 0.0)
     side = 0.5 * TOP[0]
     # sensor_msgs/Range: x along the beam, from the right towards the superior base
@@ -177,7 +180,7 @@ def _visual(link: ET.Element, place: Size, material: str) -> ET.Element:
 
 
 def _of_box(size: Size) -> Size:
-    """Return the moments of inertia of a homogeneous box over its mass [m²], about its middle."""
+    """Return the three moments of inertia of a homogeneous box about its middle, divided by its mass [m²]."""
     x, y, z = (side * side / 12.0 for side in size)
     return y + z, x + z, x + y
 

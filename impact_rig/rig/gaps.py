@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Gap of a rig as one number that also represents a rig without its sphere, for configuration and label."""
+"""Gap of a rig as one number, which for 0 means a rig without its sphere, for configurations, labels and texts."""
 
 from __future__ import annotations
 
@@ -24,12 +24,15 @@ NO_SPHERE = 0.0
 
 
 def case_of(gap_m: float) -> str:
-    """Return the text for a gap, for no sphere, or for an unknown gap (NaN)."""
+    """Return a gap [m] as text for users: `gap 6 mm`, `no sphere` for `NO_SPHERE`, or `gap unknown` for NaN."""
     if math.isnan(gap_m):
         return "gap unknown"
     return "no sphere" if gap_m == NO_SPHERE else f"gap {gap_m * 1e3:g} mm"
 
 
 def gap_values(gap_m: float) -> dict[str, Value]:
-    """Return the configuration of a gap; without a sphere the barriers have no effect and stay unchanged."""
+    """Return the configuration values, by full name, that give a rig this gap [m], or no sphere for `NO_SPHERE`.
+
+    Without a sphere the barriers have no effect, so their gap is not among the values.
+    """
     return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}

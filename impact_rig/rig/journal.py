@@ -43,7 +43,7 @@ SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBL
 
 
 class InputKind(enum.Enum):
-    """Kind of input of an entry, with the meaning of the entry's other members."""
+    """Kind of a journal entry; `doc` is the meaning of the entry's other members."""
 
     doc: str
 
@@ -87,7 +87,7 @@ RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # entries that 
 
 @attrs.frozen
 class JournalEntry:
-    """Entry of a journal."""
+    """Entry of a journal: one input that changed the rig, or a result that a re-simulation must reproduce."""
 
     sequence: int  # number of the entry, from 0 at `start` or `reset`
     kind: InputKind
@@ -101,7 +101,7 @@ class JournalEntry:
 
     @property
     def number(self) -> float:
-        """Value of an entry whose kind always has one."""
+        """Member `value` of an entry whose kind requires it, such as a command or a pluck."""
         assert self.value is not None
         return self.value
 
@@ -173,7 +173,11 @@ def _float(name: str, value: float) -> float:
 
 
 def _typed(name: str, value: Any) -> Value:
-    """Convert a JSON value to the type of a configuration value's default."""
+    """Convert a JSON value to the type of the configuration value `name`.
+
+    Raises:
+        ConfigError: there is no such configuration value, or it has another type.
+    """
     if name not in _DEFAULTS:
         raise ConfigError(f"journal entry of unknown configuration value {name!r}")
     default = _DEFAULTS[name]
@@ -226,17 +230,17 @@ class Journal:
         self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Start a new journal; queued entries of the old one come first."""
+        """Start a new journal, whose scan 0 has the stamp `start_ns`; entries of the old one stay in the queue."""
         self._start_ns, self._sequence = start_ns, 0
 
     def add(self, sample: int, kind: InputKind, **members: Any) -> None:
-        """Append one entry; see `JournalEntry`."""
+        """Append an entry that first acts on the scan `sample`; `members` are further ones of `JournalEntry`."""
         stamp = stamp_ns(sample, self._rate_hz, self._start_ns)
         self._pending.append(JournalEntry(self._sequence, kind, sample, stamp, **members))
         self._sequence += 1
 
     def take(self) -> list[JournalEntry]:
-        """Return the new entries and drop them."""
+        """Return the entries since the last call, and drop them."""
         pending, self._pending = self._pending, []
         return pending
 
@@ -262,7 +266,7 @@ class JournalView:
         self.plucked = False
 
     def follow(self, entry: JournalEntry) -> None:
-        """Update the state by one entry."""
+        """Update the state of the rig by the next entry of its journal."""
         if entry.kind in BEGINNINGS:
             self.start_ns, self.latched, self.plucked = entry.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}
@@ -296,7 +300,7 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
 
 
 def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the configuration values that affect samples."""
+    """Return those of these configuration values, by full name, that affect samples and so belong in a journal."""
     return {
         name: value
         for name, value in values.items()
@@ -323,12 +327,12 @@ AT_RESET = ("drive.", "daq.seed")  # values used at the beginning only
 
 
 def is_mechanics(name: str) -> bool:
-    """Return whether a parameter is in the equations of motion: changing it puts the sphere back to its start."""
+    """Return whether a parameter is in the equations of motion; its change puts the sphere back to `sphere.start`."""
     return name.startswith(MECHANICAL_SECTIONS) and name not in LIMITS
 
 
 def takes_effect(name: str) -> str:
-    """Return the time from which a new parameter value acts on a running rig, as text."""
+    """Return when a new value of the parameter `name` takes effect on a running rig, as text for users."""
     if name == PLANNED:
         return "next command instant, for added or removed lines"
     if name.startswith(AT_RESET):
@@ -341,7 +345,10 @@ def takes_effect(name: str) -> str:
 
 
 def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
-    """Return `config` with the seed and the planned faults of `present`: the instruments use both at a reset."""
+    """Return `config` with the seed and the planned faults of `present`.
+
+    So a change of the configuration leaves both as they are in running instruments, which use them only at a reset.
+    """
     return attrs.evolve(
         config,
         daq=attrs.evolve(config.daq, seed=present.daq.seed),
@@ -351,18 +358,18 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class FaultChange:
-    """Effect of one change of the list: removed lines, and added lines with their faults."""
+    """Change of the planned faults: lines that were removed, and lines that were added with their faults."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]
 
 
 class PlannedFaults:
-    """Assignment of active faults to lines of the plan.
+    """Numbers of the faults that lines of `instruments.faults.planned` have started, to end them with their line.
 
     Args:
-        lines: `instruments.faults.planned` at the beginning; the fault board has numbered their faults from 1.
-        rate_hz: scan rate.
+        lines: planned faults at the start or reset, which the instruments have numbered from 1.
+        rate_hz: scans per second.
     """
 
     def __init__(self, lines: Iterable[str], rate_hz: int) -> None:

@@ -43,7 +43,7 @@ class Sent(NamedTuple):
     samples: Samples
     received_ns: int = 0
     is_doubtful: bool = False
-    """True if a reset may have discarded the block; it then serves only for samples that no other block holds."""
+    """True if a reset may have discarded the block; then it is used only for samples that no other block contains."""
 
 
 def resimulate(
@@ -53,7 +53,8 @@ def resimulate(
 
     Args:
         journal: the entries of rig/journal, in order; the last `start` or `reset` begins.
-        base: publishing options, which the first entry does not contain (except `daq.block_scans`); default: none.
+        base: configuration of values that the journal's first entry does not contain, which are publishing options;
+            default: the default rig.
         waveform: messages of shaker/waveform, in order, if the drive is a stream.
 
     Raises:
@@ -63,14 +64,16 @@ def resimulate(
 
 
 def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
-    """Return the number of the first sample at or after a time."""
+    """Return the number of the stream's first sample at or after the rig time `stamp_ns`."""
     return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
 
 
 class RecordedSamples(Buffer):
-    """All samples of a recording in place of a stream's buffer: available are those that the journal names.
+    """Buffer of a stream that holds all samples of a recording; active are those that the journal names.
 
     Args:
+        rig: re-simulated rig, driven by the stream.
+        entries: entries of its journal after the first.
         waveform: received blocks, in order, doubtful blocks first; of late ones, only samples without an earlier
             version are used.
     """
@@ -144,17 +147,17 @@ class RecordedSamples(Buffer):
         return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
-        """Keep all samples: those inactive after a stop are known."""
+        """Do nothing: the recording keeps all samples, and the journal says which of them were active."""
 
 
 class Resimulation:
     """Re-simulated rig that wrote a journal; see `resimulate`.
 
     Attributes:
-        rig: the rig, ahead of the blocks that were taken.
-        blocks: its blocks, without end.
-        calibrations: `daq/info` after each change.
-        configurations: the configuration at the start and after each change.
+        rig: the re-simulated rig, which may be ahead of the blocks taken from `blocks`.
+        blocks: iterator of the rig's blocks, without end.
+        calibrations: `daq/info` at the start and after each change that the rig has reached.
+        configurations: the configuration at the start and after each change that the rig has reached.
     """
 
     def __init__(
@@ -170,7 +173,7 @@ class Resimulation:
             self.rig.stream.buffer = RecordedSamples(self.rig, inputs, waveform)
 
     def later_configurations(self) -> Iterator[RigConfig]:
-        """Yield the configurations after the changes that the blocks taken so far have not reached."""
+        """Yield the configuration after each change in the journal that the rig has not reached yet."""
         config = self.rig.config
         for entry in self._coming:
             if entry.kind is InputKind.PARAMETER:
@@ -178,7 +181,10 @@ class Resimulation:
                 yield config
 
     def finish(self, until_ns: int) -> None:
-        """Apply the journal up to the time of a reset."""
+        """Simulate and apply the journal up to `until_ns`, the time of a reset, so that no change is missed.
+
+        The blocks until there are dropped.
+        """
         while self._coming and (
             self._coming[0].kind is InputKind.FAULT  # planned before the scan that its entry names
             or self._instant(self._coming[0]) <= until_ns
@@ -203,15 +209,17 @@ class Resimulation:
             yield from rig.advance(rig.block_end_ns(1))
 
     def _instant(self, change: JournalEntry) -> int:
-        """Return the time on the command grid at which an input took effect.
-
-        The tick that contains the scan it names first.
-        """
+        """Return the rig time [ns] at which an input took effect: the start of the tick with the scan that it names."""
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
 
 
 def apply(rig: Rig, change: JournalEntry) -> None:
-    """Apply one journaled input to the rig at its frontier."""
+    """Apply the input of a journal entry to a rig at its frontier; skip entries that are results of the simulation.
+
+    Raises:
+        ConfigError: the entry does not fit, such as a second start.
+        CommandError: the rig rejects the input.
+    """
     if change.kind is InputKind.PARAMETER:
         rig.configure(change.values)
     elif change.kind is InputKind.COMMAND and change.name == "frequency":

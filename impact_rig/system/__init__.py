@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Services of the machine for programs: signals, budgets, files, caches of compiled code, plain YAML and provenance."""
+"""Services of the machine for programs: signals, limits for untrusted files, safe files, locks, optional libraries."""
 
 from __future__ import annotations
 

@@ -52,11 +52,16 @@ POINTS = 20_000  # measurements requested by a campaign, including repetitions
 
 
 class BudgetError(ImpactRigError):
-    """Rejection of external input that exceeds the budget."""
+    """Rejection of external input whose reading would need more memory or work than a limit allows."""
 
 
 def allow(what: str, amount: float, limit: float) -> None:
-    """Raise an error if `amount` is above `limit` times the factor in the environment.
+    """Raise an error if the cost of reading something is above a limit that the user has not raised.
+
+    Args:
+        what: kind of the cost, for the message, such as `bytes in a chunk`.
+        amount: the cost.
+        limit: largest cost that is allowed, before the factor of the environment variable.
 
     Raises:
         BudgetError: `amount` is above the limit; the message names both, and how to raise the limit.
@@ -64,12 +69,13 @@ def allow(what: str, amount: float, limit: float) -> None:
     if amount > limit and amount > limit * factor():
         now = f"{limit * factor():.0f}"
         raise BudgetError(
-            f"{amount:.0f} {what}, more than {now}; if you trust the source, {VARIABLE}=N allows N times as much"
+            f"{amount:.0f} {what}, more than {now}; if you trust the source, set the environment variable "
+            f"{VARIABLE}=N to allow N times as much"
         )
 
 
 def factor() -> float:
-    """Return the factor by which the user has raised all limits.
+    """Return the factor by which the environment variable IMPACT_RIG_BUDGET raises all limits; 1 if it is not set.
 
     Raises:
         BudgetError: the environment variable is not a number >= 1.
@@ -86,7 +92,7 @@ def factor() -> float:
 
 @attrs.define
 class ReadBudget:
-    """Cost so far of one pass through the chunks of a recording."""
+    """Limits for one pass through the chunks of a recording: sums of decompressed bytes and records so far."""
 
     size: int  # size of its files [bytes]
     _decompressed: int = attrs.field(default=0, init=False)
@@ -150,7 +156,7 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
         self._depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Return the next node."""
+        """Return the next node of the document, if it is plain YAML and not nested too deep. PyYAML calls this."""
         if self.check_event(yaml.AliasEvent):
             raise PlainYamlError("an alias (*name) is not accepted")
         if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):

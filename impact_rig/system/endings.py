@@ -36,12 +36,12 @@ AGAIN_S = 1.0  # delay until `SignalReceived` is raised again, if the program ha
 LAST_S = 5.0  # time limit for the shutdown of the interpreter
 PATIENCE_S = 15.0  # time limit for an orderly end
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
-"""Environment variable: id of the process with which this one ends, however that one ended."""
+"""Environment variable with the id of another process; when that process has ended for any reason, this one ends."""
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
 class SignalReceived(KeyboardInterrupt):
-    """Request to end the program."""
+    """SIGINT or SIGTERM, raised in the main thread so that the program closes files and ends its processes."""
 
 
 class Ending:
@@ -145,7 +145,7 @@ class Ending:
 
 
 class _Deferred:
-    """Depth of nested `defer_signals` blocks in the main thread."""
+    """State of `defer_signals`: the depth of nested blocks, and whether a signal arrived within them (`owed`)."""
 
     depth = 0
     owed = False
@@ -153,7 +153,11 @@ class _Deferred:
 
 @contextlib.contextmanager
 def defer_signals() -> Iterator[None]:
-    """Finish this block in the main thread before a signal takes effect: it closes files or ends processes."""
+    """Finish this block before SIGINT or SIGTERM takes effect, for code that closes files or ends processes.
+
+    A signal that arrived raises `SignalReceived` at the end of the outermost such block. Outside the main thread,
+    which alone receives signals, this does nothing.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -178,7 +182,7 @@ def block_signals() -> Iterator[None]:
 
 
 def end_with(process: int, end: Callable[[], None]) -> None:
-    """Call `end` in a thread when another process has ended, or immediately if it is already gone."""
+    """Call `end` in a thread when the process with the id `process` has ended, or here if there is no such process."""
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:

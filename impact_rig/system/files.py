@@ -220,7 +220,10 @@ def staged(directory: Path) -> Iterator[Path]:
 
 
 def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
-    """Convert a value to JSON types: no NaN, no infinity, no numpy, no bytes."""
+    """Convert a value to types that JSON has, for output that other programs read.
+
+    NaN and infinite numbers become None, NumPy's values plain ones, bytes text, and values of unknown types their text.
+    """
     if isinstance(value, (bool, int, str)) or value is None:
         return value
     if isinstance(value, float):
@@ -238,7 +241,7 @@ def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
 
 @contextlib.contextmanager
 def translate_errors(what: str) -> Iterator[None]:
-    """Turn errors of the system in the block into a `RecordingError`: what failed, and why."""
+    """Turn an `OSError` in the block into a `RecordingError` with the text `what`, which says what failed, and why."""
     try:
         yield
     except RecordingError:  # has its message already
@@ -248,7 +251,10 @@ def translate_errors(what: str) -> Iterator[None]:
 
 
 def free_path(path: Path) -> Path:
-    """Return the path, with a number if it exists: two runs within one second are no reason for an error."""
+    """Return `path`, or if it exists the first free one of `path_2`, `path_3`, ...
+
+    So two runs whose names contain the same second get different directories.
+    """
     numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
     return next(found for found in itertools.chain([path], numbered) if not found.exists())
 
@@ -311,7 +317,7 @@ PLACES = "impact_rig_places"  # folder of the locks on namespaces of the graph
 
 
 def place(domain_id: int, namespace: str) -> str:
-    """Return the name of the lock of a rig's domain and namespace."""
+    """Return the name of the lock, in the folder `PLACES`, by which one rig reserves its ROS domain and namespace."""
     return f"{domain_id}{namespace.replace('/', '.').rstrip('.')}"
 
 
@@ -338,7 +344,11 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is certainly held by a process that did not use `hold`, and so has no meaning."""
+    """Return whether a lock is certainly held by a process that did not acquire it with `hold`.
+
+    Such a lock does not mean that a rig runs. `hold` writes the id of its process into the file, which is compared with
+    that of the holder.
+    """
     holding = holder(folder, name)
     if not holding:  # the lock is free, or its holder is in another container
         return False
@@ -371,7 +381,7 @@ def holder(folder: str, name: str) -> int | None:
 
 
 def can_hold(folder: str, name: str) -> bool:
-    """Return whether `hold` can determine the state of a lock."""
+    """Return whether `hold` can tell if a lock is free, because the lock's file can be opened or created."""
     try:
         os.close(_open(folder, name))
     except OSError:
@@ -408,7 +418,7 @@ def lock_directory() -> Path:
 
 
 def _open(folder: str, name: str) -> int:
-    """Open the file of a lock."""
+    """Open the file of a lock, created if needed, and return its descriptor; this does not acquire the lock."""
     directory = lock_directory() / folder
     with contextlib.suppress(FileExistsError):
         directory.mkdir()
@@ -435,12 +445,15 @@ def share_dir(package: Path = _PACKAGE) -> Path:
 
 
 def config_dir() -> Path:
-    """Return the directory of the working configurations."""
+    """Return the directory `config/` with the configuration files of the package, such as `nominal.yaml`."""
     return share_dir() / "config"
 
 
 def reason_unreadable(error: OSError, path: Path) -> str:
-    """Return why a file cannot be read, its path, and where the package has a file of that name."""
+    """Return a text for users: why a file cannot be read, and its path.
+
+    For a relative path that does not exist, the text also names the package's own file of that name, if there is one.
+    """
     text = f"{error.strerror} ({path})"
     if isinstance(error, FileNotFoundError) and not path.is_absolute():
         installed = share_dir() / path

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Machine and libraries that computed a result: the same ones reproduce it bit for bit.
+"""Identity of the machine and libraries that compute a result: equal identities reproduce it bit for bit.
 
 Floating point differs between machines: BLAS, the C library and compiled code select instructions by the processor.
 """
@@ -52,7 +52,7 @@ def _version(distribution: str) -> str:
 
 @functools.cache
 def identity() -> dict[str, str]:
-    """Return everything that determines the last bits of a result, by name."""
+    """Return properties of this processor, its libraries and settings that determine the last bits of a result."""
     processor = _processor()
     overrides = (f"{name}={os.environ[name]}" for name in _DECIDING if name in os.environ)
     return {
@@ -67,7 +67,7 @@ def identity() -> dict[str, str]:
 
 
 def fingerprint() -> int:
-    """Return a number below 2**48 that is equal for equal identities."""
+    """Return `identity` as one number below 2**48, for tables: equal numbers mean that results have the same bits."""
     text = "\n".join(f"{name}={value}" for name, value in sorted(identity().items()))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:_FINGERPRINT_BYTES], "big")
 

@@ -50,7 +50,9 @@ _BYTES = 52_400  # size of such a segment
 
 
 class Watch:
-    """Watch for such segments, in a thread that lasts as long as the context.
+    """Context manager whose thread marks half-created shared-memory segments of Fast DDS as corrupt.
+
+    Fast DDS then recreates them instead of waiting forever for the killed process that left them.
 
     Args:
         directory: directory of the segments.
@@ -83,9 +85,14 @@ class Watch:
 
 
 def mark_half_created(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """Mark as corrupt the segments that are still half created since the last check; return all half-created ones.
+    """Mark as corrupt the shared-memory segments that are half created and were so at the last check.
 
-    The result identifies them by name and inode.
+    Args:
+        directory: directory of the segments.
+        before: result of the last check.
+
+    Returns:
+        Name and inode of all half-created segments, for the next check.
 
     Raises:
         OSError: the directory cannot be read.

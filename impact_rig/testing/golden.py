@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Golden runs and golden values: checked results of a pipeline, kept next to its tests.
+"""Golden runs and golden values: results of a pipeline that were checked once, with which tests compare later ones.
 
 A golden run is an ordinary MCAP run, so every tool opens it. A comparison names the first difference: topic, time, row,
 column and both values.
@@ -42,11 +42,11 @@ UPDATE_OPTION = "--rig-update-golden"
 
 
 class Golden:
-    """Golden data of one test.
+    """Golden data of one test: a run and named numbers that were checked once, with which results are compared.
 
     Args:
         directory: directory of the data, next to the test file.
-        update: whether to write the present results instead of comparing them.
+        update: whether to replace the data by the present results instead of comparing (`--rig-update-golden`).
     """
 
     def __init__(self, directory: Path, *, update: bool) -> None:
@@ -56,7 +56,12 @@ class Golden:
     def run(
         self, rig: RigDriver, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
     ) -> None:
-        """Compare the messages published by a rig with the golden run.
+        """Compare the tables that a rig has published with those of the golden run.
+
+        Args:
+            rig: rig that the test has run.
+            topics: topics to compare, which carry tables.
+            tolerances: largest absolute difference by column; all other columns must agree bit for bit.
 
         Raises:
             AssertionError: the first difference, or that there is no golden run yet.
@@ -78,6 +83,11 @@ class Golden:
 
     def values(self, found: Mapping[str, float], rel: float = 1e-9, abs: float = 0.0) -> None:  # noqa: A002  # as in pytest.approx
         """Compare named numbers, such as results of an analysis, with the golden ones.
+
+        Args:
+            found: the numbers by name.
+            rel: largest relative difference.
+            abs: largest absolute difference; it is enough that one of both limits is kept.
 
         Raises:
             AssertionError: all differences, or that there are no golden values yet.
@@ -106,29 +116,30 @@ class Golden:
 
 
 def first_difference(found: Iterable[Table], expected: Iterable[Table], tolerances: Mapping[str, float]) -> str:
-    """Return the first difference of two streams of tables, or an empty text.
+    """Return a description of the first difference of two streams of tables; an empty text if there is none.
 
     Args:
         found: tables to check.
         expected: correct tables.
-        tolerances: column -> largest absolute difference. NaN equals NaN. Every other column must agree bit for bit.
+        tolerances: largest absolute difference by column, where NaN equals NaN. Every other column must agree bit for
+            bit.
 
     Raises:
-        ConfigError: a tolerance names a missing column.
+        ConfigError: `tolerances` names a column that the tables do not have.
     """
     got, right = list(found), list(expected)
     for one, other in zip(got, right, strict=False):
         if one.stamp_ns != other.stamp_ns or len(one.rows) != len(other.rows):
             return (
-                f"{len(one.rows)} rows at {one.stamp_ns / NS_PER_S:.9f} s, "
-                f"golden {len(other.rows)} at {other.stamp_ns / NS_PER_S:.9f} s"
+                f"{len(one.rows)} rows in the table at {one.stamp_ns / NS_PER_S:.9f} s, "
+                f"golden {len(other.rows)} rows at {other.stamp_ns / NS_PER_S:.9f} s"
             )
         names = other.rows.dtype.names or ()
         if one.rows.dtype.names != names:
             return f"columns {one.rows.dtype.names}, golden {names}"
         unknown = set(tolerances) - set(names)
         if unknown:
-            raise ConfigError(f"tolerances for missing columns: {', '.join(sorted(unknown))}")
+            raise ConfigError(f"tolerances name columns that the tables do not have: {', '.join(sorted(unknown))}")
         for name in names:
             bad = np.flatnonzero(~_agree(one.rows[name], other.rows[name], tolerances.get(name)))
             if len(bad):

@@ -48,26 +48,28 @@ _UNSAFE = re.compile(r"[^\w.-]+")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the plugin's options."""
+    """Add the options `--rig-runs` and `--rig-update-golden` and the ini setting `rig_runs` to pytest."""
     group = parser.getgroup("impact_rig", "virtual test rig")
     group.addoption(
         "--rig-runs", metavar="DIR", help=f"directory for the runs of failed tests (default: {DEFAULT_DIRECTORY})"
     )
-    group.addoption("--rig-update-golden", action="store_true", help="write golden data instead of comparing with them")
+    group.addoption(
+        "--rig-update-golden", action="store_true", help="replace golden data by the results instead of comparing"
+    )
     parser.addini(
         "rig_runs", "directory for the runs of failed tests, relative to the rootdir", default=DEFAULT_DIRECTORY
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the plugin's marker."""
+    """Register the marker `requirement`, by which a test names the requirements that it verifies."""
     config.addinivalue_line(
         "markers", "requirement(id, ...): requirements that the test verifies; listed in JUnit files"
     )
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Note the requirements of a test in its properties, which are in a JUnit file whether it passes or not."""
+    """Add the requirements that a test names to its properties, so that a JUnit file lists them, passed or failed."""
     named = dict.fromkeys(str(name) for marker in item.iter_markers("requirement") for name in marker.args)
     item.user_properties += [("requirement", name) for name in named]
 
@@ -92,7 +94,7 @@ def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.Ro
 
 @pytest.fixture
 def golden(request: pytest.FixtureRequest) -> testing.Golden:
-    """Return the golden data of this test, kept in `golden/` next to its file."""
+    """Return the golden data of this test, kept in the folder `golden` next to the test file; see `Golden`."""
     directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
     return testing.Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
 
@@ -101,7 +103,7 @@ def golden(request: pytest.FixtureRequest) -> testing.Golden:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Save the runs of a failed test while its rigs still exist, and report where."""
+    """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report."""
     report = yield
     rigs = item.stash.get(_RIGS, [])
     if rigs and report.when != "teardown" and report.failed and call.excinfo is not None:
@@ -112,7 +114,7 @@ def pytest_runtest_makereport(
 
 
 def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
-    """Save a rig's run and return a line for the report; an error here never hides the test's own error.
+    """Save the run of a failed test's rig, and return lines for pytest's report; an error here becomes such a line.
 
     The same information is in properties of the test, which a JUnit file contains.
     """
@@ -141,7 +143,11 @@ def _directory(item: pytest.Item) -> Path:
 
 
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
-    """Yield `make` with a name for each rig of a test; keep the rigs for the test's report, then close them."""
+    """Yield the function of a fixture, which starts a rig with `make` under a name that is unique in the test.
+
+    The rigs are remembered for the report of a failure. After the test they are closed, except those that later tests
+    of a wider scope use again.
+    """
     rigs = request.node.stash.setdefault(_RIGS, [])
     shared: list[testing.RigDriver] = []
 
@@ -169,9 +175,10 @@ def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterato
 def _reset_or_start(
     request: pytest.FixtureRequest, scope: str, make: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> R:
-    """Return the rig that earlier tests of the scope used with the same arguments, as new, or a new one.
+    """Return a rig that later tests of the scope can use again.
 
-    A rig in this process starts in milliseconds and is always a new one; so is one that cannot be reset.
+    It is the one that an earlier test started with the same arguments, reset to its first configuration, or else a new
+    one. A rig in this process starts in milliseconds and is always new.
 
     Raises:
         pytest.UsageError: unknown scope.

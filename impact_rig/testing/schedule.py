@@ -65,7 +65,7 @@ from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 TIMERS, MESSAGES = "timers", "messages"
-"""Sources of callbacks besides topics: all timers, and the messages of all topics."""
+"""Names for `hold` and `prefer` that are not topics: all timers of the nodes, and the messages of all topics."""
 KEPT_CALLBACKS = 20_000
 MOST_CALLBACKS = 10_000  # of one block; more are nodes that answer each other without end
 TICK_S, IDLE_S, BUSY_S = 0.2, 1.0, 20.0
@@ -75,12 +75,12 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """A callback that does not return: it waits for another callback, or computes without end."""
+    """Callback that does not return: it waits for another callback of the same executor, or computes without end."""
 
 
 @attrs.define(eq=False)
 class _Inbox:
-    """Queue of one subscription: (number of the publication, message as CDR bytes)."""
+    """Queue of one subscription, oldest first: number of the publication, and message as CDR bytes."""
 
     subscription: Any
     topic: str
@@ -88,7 +88,7 @@ class _Inbox:
 
     @property
     def is_lossy(self) -> bool:
-        """Return whether the transport may drop messages."""
+        """Return whether the subscription is best effort, so that the transport may drop messages."""
         return bool(self.subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT)
 
     def put(self, number: int, data: bytes) -> bool:
@@ -109,13 +109,13 @@ class _Hosted:
 
     @property
     def name(self) -> str:
-        """Name of the node, also while it is created."""
+        """Name of the node; `a new node` while it is being created and has no name yet."""
         return "a new node" if self.node is None else str(self.node.get_name())
 
 
 @attrs.frozen(order=True)
 class _Ready:
-    """A callback that can run; the least one runs first."""
+    """Callback that can run now. The smallest one runs first: preferred ones, messages as published, timers."""
 
     is_not_first: bool
     is_timer: bool
@@ -127,7 +127,10 @@ class _Ready:
 
 @attrs.define
 class _Latched:
-    """Last messages of a topic, for late subscribers; those that are best effort receive none, as with Fast DDS."""
+    """Last messages of a latched topic, which late subscribers receive; those that are best effort receive none.
+
+    Fast DDS does the same.
+    """
 
     qos: QoSProfile
     type: Any
@@ -137,7 +140,7 @@ class _Latched:
 class ScheduledRig(LocalRig):
     """Rig in this process that can host ROS nodes: a `LocalRig` with `host` and `listen` as `RosRig` has them.
 
-    Without a hosted node it is a `LocalRig`. Takes the same arguments.
+    Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes.
 
     Attributes:
         callbacks: the callbacks that have run and what they published, one line each, oldest first; the last
@@ -167,7 +170,12 @@ class ScheduledRig(LocalRig):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node whose callbacks run in rig time, and return it.
 
-        Its clock is the rig's (`use_sim_time`). `time.sleep` in a callback lets rig time pass.
+        The node's clock is rig time (`use_sim_time`). While a callback sleeps (`time.sleep`), rig time passes and the
+        node runs no other callback.
+
+        Args:
+            make_node: class of the node, or a function that creates it.
+            kwargs: arguments of `make_node`.
 
         Raises:
             ConfigError: a timer of the node does not follow its clock.
@@ -189,17 +197,20 @@ class ScheduledRig(LocalRig):
         return hosted.node
 
     def listen(self, topic: str) -> Collector:
-        """Keep all messages that hosted nodes publish on a topic from now on."""
+        """Return a collector of all messages that hosted nodes publish on a topic from now on."""
         if topic not in self._collectors:
             self._collectors[topic] = Collector(topics.Topic(topic, "", topics.Qos.DATA, "", "", ()))
         return self._collectors[topic]
 
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
-        """Publish a message to the hosted nodes, as another node would do."""
+        """Publish a message to the hosted nodes, as another node would do; `qos` is by default that of commands."""
         self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
 
     def send_data(self, topic: str, data: object) -> None:
-        """Publish a message with this `data` (None: an empty one) on a topic that a hosted node subscribes to."""
+        """Publish a message whose field `data` has this value on a topic, in the type of a hosted node's subscription.
+
+        For None, the message is empty. If no hosted node subscribes, nothing happens.
+        """
         name = topic.removeprefix("/")
         inboxes = (inbox for hosted in self._hosted for inbox in hosted.inboxes.values() if inbox.topic == name)
         inbox = next(inboxes, None)
@@ -210,7 +221,7 @@ class ScheduledRig(LocalRig):
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks; after each, run the callbacks that are due."""
+        """Advance rig time by whole blocks; after each, run the callbacks of hosted nodes that are due."""
         if not self._hosted:
             super().step(blocks, timeout_s)
             self._flush()
@@ -235,7 +246,7 @@ class ScheduledRig(LocalRig):
         return directory
 
     def close(self) -> None:
-        """End the nodes and the recording."""
+        """Destroy the hosted nodes and end the recording."""
         if not self.closed:
             super().close()
             self._stack.close()
@@ -243,23 +254,29 @@ class ScheduledRig(LocalRig):
     # Disturbances; the actions of `strategies` call these
 
     def hold(self, source: str, blocks: int) -> None:
-        """Deliver nothing of a topic, of `TIMERS` or of all `MESSAGES` for these blocks; it arrives afterwards."""
+        """Run no callback for messages of the topic `source` for this many blocks; the messages wait in their queues.
+
+        `TIMERS` as source holds back the callbacks of all timers, `MESSAGES` those of all topics.
+        """
         self._held[source] = max(self._held.get(source, 0), self._after(blocks))
 
     def prefer(self, source: str, blocks: int) -> None:
-        """Run the callbacks of a topic or of `TIMERS` before all others for these blocks."""
+        """Run the callbacks of the topic `source`, or of all timers (`TIMERS`), before all others for these blocks."""
         self._first[source] = self._after(blocks)
 
     def duplicate(self, topic: str, count: int = 1) -> None:
-        """Deliver the next messages of a topic twice."""
+        """Deliver the next `count` messages of a topic twice."""
         self._duplicates[topic] += count
 
     def drop(self, topic: str, count: int = 1) -> None:
-        """Drop the next messages of a topic at subscriptions whose quality of service allows it (best effort)."""
+        """Drop the next `count` messages of a topic at subscriptions that are best effort; others lose nothing."""
         self._drops[topic] += count
 
     def calm(self) -> None:
-        """Step until all delays have ended, end the rest, and do now what was to be done after further callbacks."""
+        """End all disturbances: step until no source is held or preferred, and cancel duplicates and losses to come.
+
+        Actions that `after` has planned are done at once.
+        """
         while any(until > self._time_ns for until in (*self._held.values(), *self._first.values())):
             self.step()
         for some in (self._held, self._first, self._duplicates, self._drops):
@@ -269,7 +286,7 @@ class ScheduledRig(LocalRig):
             action()
 
     def after(self, callbacks: int, action: Callable[[], object]) -> None:
-        """Do something after this many further callbacks: 0 means now."""
+        """Call `action` when hosted nodes have run this many further callbacks: 0 means now."""
         if callbacks == 0:
             action()
         else:
@@ -321,7 +338,10 @@ class ScheduledRig(LocalRig):
         super()._deliver(block)
 
     def _flush(self) -> None:
-        """Route what the rig has published, the scans of a block last, and answers that were due later."""
+        """Put new messages into the queues of the subscriptions: those of the rig, the scans of a block last.
+
+        Then follow messages of callbacks whose sleep in rig time is over.
+        """
         published, self._published = self._published, []
         for topic, data in sorted(published, key=lambda one: one[0] is topics.SCAN):
             self._route(topic.name, messages.class_of(topic), messages.profile(topic.qos), data)
@@ -390,7 +410,10 @@ class ScheduledRig(LocalRig):
             if ready is None:
                 return
             self._run(ready)
-        raise AssertionError(f"more than {MOST_CALLBACKS} callbacks without rig time passing")
+        raise AssertionError(
+            f"more than {MOST_CALLBACKS} callbacks ran at one instant of rig time: hosted nodes answer each other "
+            "without end"
+        )
 
     def _ready(self) -> Iterator[_Ready]:
         now = self._time_ns
@@ -439,7 +462,9 @@ class ScheduledRig(LocalRig):
                 return
             with contextlib.closing(result), contextlib.suppress(StopIteration):
                 result.send(None)
-                raise BlockedError(f"{hosted.name} blocks: {what} awaits what only another callback can bring")
+                raise BlockedError(
+                    f"{hosted.name} blocks: {what} awaits a result that only another callback of this executor can give"
+                )
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
@@ -502,14 +527,14 @@ def _match(subscription: Any, kind: Any, qos: QoSProfile) -> bool:
 
 
 def _digest(message: Any) -> str:
-    """Return a message as a short text that differs for different messages."""
+    """Return a message as a short text for `callbacks`, which differs for different messages."""
     text = repr(message)
     return text if len(text) <= 120 else f"{text[:60]}... sha256 {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
 @contextlib.contextmanager
 def _returning(message: str) -> Iterator[None]:
-    """Raise `BlockedError` in the main thread if the block of code waits, or computes for too long."""
+    """Raise `BlockedError` from `message` in the main thread if the block of code waits, or computes for too long."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -520,7 +545,7 @@ def _returning(message: str) -> Iterator[None]:
         before, used = used, time.thread_time()
         idle = idle + 1 if used - before < IDLE_CPU_S else 0
         if idle * TICK_S >= IDLE_S:
-            raise BlockedError(f"{message} waits for what only another callback can bring")
+            raise BlockedError(f"{message} waits for something that only another callback of this executor can give")
         if time.monotonic() - begin > BUSY_S:
             raise BlockedError(f"{message} has not returned within {BUSY_S:g} s")
 

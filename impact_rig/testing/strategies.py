@@ -49,19 +49,19 @@ MOST_BLOCKS = 20
 
 @attrs.frozen
 class Command:
-    """Operator's command of frequency [Hz] and current [A]; None leaves a value unchanged."""
+    """Operator's command of drive frequency [Hz] and peak current [A]; None leaves a value unchanged."""
 
     frequency_hz: float | None = None
     current_a: float | None = None
 
     def do(self, rig: RigDriver) -> None:
-        """Send the command."""
+        """Send the command to the rig."""
         rig.command(self.frequency_hz, self.current_a)
 
 
 @attrs.frozen
 class ParameterChange:
-    """Change of a parameter."""
+    """Change of a parameter of the rig, named by its full name such as `barriers.gap_m`."""
 
     key: str
     value: float | bool
@@ -73,7 +73,7 @@ class ParameterChange:
 
 @attrs.frozen
 class Inject:
-    """Fault of the instruments that begins with the next scan and lasts this many blocks."""
+    """Fault of an instrument, or of the whole board without `channel`, from the next scan on for this many blocks."""
 
     kind: str
     channel: str = ""
@@ -81,19 +81,19 @@ class Inject:
     value: float = 0.0
 
     def do(self, rig: RigDriver) -> None:
-        """Inject the fault."""
+        """Inject the fault into the rig."""
         begin, length = rig.frontier_sample, self.blocks * rig.block_scans
         rig.inject(Fault(kind=self.kind, channel=self.channel, start_sample=begin, samples=length, value=self.value))
 
 
 @attrs.frozen
 class Pause:
-    """Pause of this many blocks without any action."""
+    """Time of this many blocks in which the rig runs without any action."""
 
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Advance by these blocks."""
+        """Advance the rig by these blocks."""
         rig.step(self.blocks)
 
 
@@ -104,7 +104,7 @@ class Silence:
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Advance without a command."""
+        """Advance the rig by these blocks with a command timeout of half of them."""
         before = rig.config.output.command_timeout_s
         seconds = self.blocks * rig.block_scans / rig.rate_hz
         rig.configure({"output.command_timeout_s": 0.5 * seconds})
@@ -114,7 +114,7 @@ class Silence:
 
 @attrs.frozen
 class Reset:
-    """Reset of the rig: scan 0, everything at rest, while stamps continue. After this many callbacks, as below."""
+    """Reset of the rig (scan 0, everything at rest) after this many further callbacks of the nodes under test."""
 
     after: int = 0
 
@@ -125,12 +125,12 @@ class Reset:
 
 @attrs.frozen
 class LateJoin:
-    """Start of the pipeline this many blocks after the rig, if it is the first action."""
+    """Late start of the pipeline: as first action, the rig runs this many blocks before `check` connects it."""
 
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Advance the rig."""
+        """Advance the rig by these blocks."""
         rig.step(self.blocks)
 
 
@@ -142,7 +142,7 @@ class Delay:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Hold the source."""
+        """Hold the source's callbacks back."""
         scheduled(rig).hold(self.source, self.blocks)
 
 
@@ -154,7 +154,7 @@ class First:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Prefer the source."""
+        """Run the source's callbacks before all others."""
         scheduled(rig).prefer(self.source, self.blocks)
 
 
@@ -165,32 +165,32 @@ class Burst:
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Hold all messages and timers."""
+        """Hold the callbacks of all messages and timers back."""
         for source in ("messages", "timers"):
             scheduled(rig).hold(source, self.blocks)
 
 
 @attrs.frozen
 class Duplicate:
-    """Second delivery of the next messages of a topic."""
+    """Second delivery of each of the next `count` messages of a topic."""
 
     topic: str
     count: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Duplicate the messages."""
+        """Deliver the next messages twice."""
         scheduled(rig).duplicate(self.topic, self.count)
 
 
 @attrs.frozen
 class Drop:
-    """Loss of the next messages of a topic at subscriptions that are best effort; others lose nothing."""
+    """Loss of the next `count` messages of a topic at subscriptions that are best effort; others lose nothing."""
 
     topic: str
     count: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Drop the messages."""
+        """Drop the next messages."""
         scheduled(rig).drop(self.topic, self.count)
 
 
@@ -239,7 +239,7 @@ Action = RigAction | Reset | LateJoin | Delay | First | Burst | Duplicate | Drop
 
 
 def scheduled(rig: RigDriver) -> ScheduledRig:
-    """Return a rig as a scheduled rig.
+    """Check that a rig is a `ScheduledRig`, as actions on callbacks need, and return it with this type.
 
     Raises:
         TypeError: the rig is not a scheduled rig.
@@ -259,7 +259,7 @@ def schedules(
     most_actions: int = 6,
     most_blocks: int = 8,
 ) -> st.SearchStrategy[list[Action]]:
-    """Return a strategy for scenarios on a `ScheduledRig`: actions on the transport, and on the rig.
+    """Return a Hypothesis strategy for scenarios on a `ScheduledRig`: actions on its nodes, transport and rig.
 
     Args:
         topics: topics that the nodes under test subscribe to.
@@ -292,10 +292,10 @@ def schedules(
 def scenarios(
     changes: Mapping[str, st.SearchStrategy[float | bool]] | None = None, most_actions: int = 8
 ) -> st.SearchStrategy[list[RigAction]]:
-    """Return a strategy for scenarios.
+    """Return a Hypothesis strategy for scenarios on any rig: commands, faults, pauses and parameter changes.
 
     Args:
-        changes: parameters that may be changed, and their values; None means the gap.
+        changes: strategies for the values of the rig's parameters that may be changed; None means the gap.
         most_actions: maximum number of actions.
     """
     gaps: Mapping[str, st.SearchStrategy[float | bool]] = {
@@ -323,14 +323,17 @@ def _rig_actions(values: Mapping[str, st.SearchStrategy[float | bool]]) -> st.Se
 
 
 Check = Callable[[RigDriver], Callable[[], object] | None]
-"""Function that connects a pipeline to a rig and returns the final assertion.
+"""Function that connects a pipeline to a rig, and returns a function with the final assertions, or None.
 
-It may also raise AssertionError earlier.
+The pipeline may also raise AssertionError earlier, while the scenario is played.
 """
 
 
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
-    """Play a scenario, a block after each action, under a check."""
+    """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions of `check`.
+
+    The rig advances by a block after each action, and at the end until all faults are over.
+    """
     rest = list(actions)
     while rest and isinstance(rest[0], LateJoin):
         rest.pop(0).do(rig)

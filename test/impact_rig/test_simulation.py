@@ -80,7 +80,7 @@ def test_what_cannot_be_simulated_is_refused():
     for seconds in (0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(ConfigError, match="seconds must be above 0"):
             simulate(seconds)
-    with pytest.raises(ConfigError, match=r"at least 0\.01, a block"):
+    with pytest.raises(ConfigError, match=r"at least 0\.01 s, one block"):
         simulate(0.009)
     with pytest.raises(ConfigError, match="gap"):
         simulate(1.0, {"barriers.gap_m": -1.0})

@@ -201,7 +201,7 @@ def test_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
         golden.run(other)
     noise = dict.fromkeys(CHANNELS, 1e3)
     golden.run(other, tolerances=noise)
-    with pytest.raises(ConfigError, match="missing columns: laserr"):
+    with pytest.raises(ConfigError, match="do not have: laserr"):
         golden.run(other, tolerances={"laserr": 1.0})
     assert first_difference(other.tables()[:-1], other.tables(), {}) == "29 tables, golden 30"
 
