@@ -174,7 +174,7 @@ def operation(calls: Calls, client: Client) -> None:
     client.pause()
     calls.hold("ros2 service call rig/pause true", True)
     answer = client.trigger("rig/step")
-    calls.hold("ros2 service call rig/step", answer.startswith("at "), answer)
+    calls.hold("ros2 service call rig/step", answer.startswith("rig time "), answer)
     client.pause(False)
     calls.hold("ros2 service call rig/pause false", True)
     for name, text in (

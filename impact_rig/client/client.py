@@ -241,11 +241,11 @@ class Activation:
             self._identify()
             instance = instance or self._first
             if instance != self._instance:
-                raise RigGoneError(f"{what}: the rig that received it is gone; another rig has started")
+                raise RigGoneError(f"{what}: the rig it was sent to is gone; another rig has started")
             silent = self._is_there and self._clock() - max(self._reported_at, since) > silence_s
             self._is_gone |= silent
             if self._is_gone:
-                raise RigGoneError(f"{what}: the rig that received it is gone; no report from it for {GONE_S:g} s")
+                raise RigGoneError(f"{what}: the rig it was sent to is gone; no report from it for {GONE_S:g} s")
 
         return check
 
@@ -513,14 +513,14 @@ class Client:
         ):
             if value is None:
                 continue
-            check = self.given(f"{column} = {value:g}")
+            check = self.given(f"command {topic.name} = {value:g}")
             self._reach(self.publisher(topic), topic, timeout_s, "rig", check)
             self.wait_until(lambda: self.figures("rig"), "the rig's diagnostics", timeout_s, check)  # count rejections
             self._receive_applied()
             before = len(self.applied)
             self.publish(topic, Float64(data=value), timeout_s, "rig", check)
             accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
-            what = f"{column} = {value:g} in {topics.APPLIED.name}"
+            what = f"the rig to apply the command {topic.name} = {value:g}"
             row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
         assert row is not None, "command() needs a frequency or a current"
         return row
@@ -732,7 +732,7 @@ class Client:
         collector = Collector(topic, on_message)
         is_table = topic.type_name == topics.SCAN.type_name
         subscription = self.subscribe(topic, collector.take, is_table, profile)
-        self.wait_until(subscription.get_publisher_count, f"a publisher of {full_name} to match", timeout_s)
+        self.wait_until(subscription.get_publisher_count, f"the connection to a publisher of {full_name}", timeout_s)
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
@@ -762,7 +762,7 @@ class Client:
         """Wait until the subscribers of a topic are matched, including the node `listener`; see `publish`."""
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)
-            self.wait_until(matched, f"{listener or 'a subscriber'} on {topic.name}", timeout_s, check)
+            self.wait_until(matched, f"{listener or 'a node'} to subscribe to {topic.name}", timeout_s, check)
             self._matched.add(publisher)
 
     def _receive_applied(self) -> None:

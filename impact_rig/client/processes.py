@@ -145,7 +145,9 @@ class Processes:
         """
         name = name or node
         if name in self.running and self.running[name].exit_code is None:
-            raise ImpactRigError(f"process {name!r} is already running")
+            raise ImpactRigError(
+                f"node process {name!r} is already running: stop it first, or give the new one another name"
+            )
         arguments = ["-r", f"__node:={name}"]
         if self.namespace:
             arguments += ["-r", f"__ns:={self.namespace}"]

@@ -259,7 +259,7 @@ class Board:
             DaqmxError: a task of this name exists, or there are too many tasks.
         """
         if name in self.tasks:
-            raise DaqmxError(Code.DUPLICATE_TASK, f"a task named {name!r} exists")
+            raise DaqmxError(Code.DUPLICATE_TASK, f"a task named {name!r} exists already")
         if len(self.tasks) >= MOST_TASKS:
             raise DaqmxError(Code.RESOURCE_RESERVED, f"more than {MOST_TASKS} tasks: clear some")
         while not name or name in self.tasks:
@@ -361,7 +361,7 @@ class Board:
         missing = [name for name in found if name not in known]
         if missing or not known:
             raise DaqmxError(
-                Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"the task has no channel {', '.join(missing) or text!r}"
+                Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"task {task.name!r} has no channel {', '.join(missing) or text!r}"
             )
         return [known[name] for name in found] or task.channels
 
@@ -400,11 +400,11 @@ class Board:
         self._must_be_idle(task)
         self._must_have_channels(task)
         if not (math.isfinite(rate_hz) and rate_hz >= 1.0):
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: must be from 1 Hz on, got {rate_hz:g}")
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate must be at least 1 Hz, got {rate_hz:g}")
         if finite and not 1 < samples <= MOST_SAMPLES:
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
-                f"SampQuant.SampPerChan: must be from 2 to {MOST_SAMPLES}, got {samples}",
+                f"SampQuant.SampPerChan must be from 2 to {MOST_SAMPLES}, got {samples}",
             )
         rate = round(rate_hz)
         self._config_for({RATE_KEYS[task.kind]: rate})
@@ -418,7 +418,10 @@ class Board:
         """
         self._must_be_idle(task)
         if not 1 <= samples <= MOST_SAMPLES:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"a buffer has 1 to {MOST_SAMPLES} samples, got {samples}")
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"the size of a buffer must be from 1 to {MOST_SAMPLES} samples per channel, got {samples}",
+            )
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
@@ -452,10 +455,13 @@ class Board:
             return
         self._must_have_channels(task)
         if task.kind == "ao" and not len(task.data):
-            raise DaqmxError(Code.OUTPUT_BUFFER_EMPTY, "the output buffer is empty: write before the start")
+            raise DaqmxError(
+                Code.OUTPUT_BUFFER_EMPTY, "the output buffer is empty: write samples before you start the task"
+            )
         other = next((one for one in self.tasks.values() if one.is_active and one.kind == task.kind), None)
         if other is not None:
-            raise DaqmxError(Code.RESOURCE_RESERVED, f"the {task.kind} of the board is in use by task {other.name!r}")
+            what = "inputs are" if task.kind == "ai" else "output is"
+            raise DaqmxError(Code.RESOURCE_RESERVED, f"the {what} in use by task {other.name!r}: stop it first")
         rig = self._prepare(task)
         task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
         if task.kind == "ai":
@@ -526,7 +532,7 @@ class Board:
 
         self._wait(
             has_arrived, timeout_s, goes_on, Code.SAMPLES_NOT_YET_AVAILABLE,
-            lambda: f"{task.available} of {wanted} samples have arrived after {timeout_s:g} s ({task.state.value})",
+            lambda: f"timeout after {timeout_s:g} s: {task.available} of {wanted} samples arrived ({task.state.value})",
         )  # fmt: skip
         assert task.acquisition is not None
         values = self._values(task, task.acquisition.read(wanted))
@@ -563,7 +569,7 @@ class Board:
         if not np.all((values >= low) & (values <= high)):
             raise DaqmxError(Code.INVALID_AO_DATA_WRITE, f"samples must be from {low:g} to {high:g} V")
         if len(values) > MOST_SAMPLES:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"more than {MOST_SAMPLES} samples at once")
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {MOST_SAMPLES} samples at once, got {len(values)}")
         on_demand = task.rate_hz == 0
         if on_demand:
             if not (auto_start or task.is_active):
@@ -597,7 +603,7 @@ class Board:
 
         self._wait(
             has_room, timeout_s, goes_on, Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
-            lambda: f"no room for {len(values)} samples after {timeout_s:g} s: {len(task.data)} are still to be played",
+            lambda: f"timeout after {timeout_s:g} s: no room for {len(values)} samples, {len(task.data)} are queued",
         )  # fmt: skip
         task.data = np.concatenate([task.data, values])
 
@@ -616,7 +622,7 @@ class Board:
             raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
         self._wait(
             lambda: self.is_done(task), timeout_s, goes_on, Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
-            lambda: f"the task is not done after {timeout_s:g} s",
+            lambda: f"timeout after {timeout_s:g} s: the task is not done ({task.state.value})",
         )  # fmt: skip
 
     def _wait(
@@ -691,7 +697,7 @@ class Board:
             self._end(task, State.DONE)
         elif output.buffered == 0 and not task.regenerates and output.next_sample is not None:
             lost = rig.stream_level().sample - output.next_sample
-            raise UnderrunError(f"the output ran out of samples after {task.passed}: write earlier", lost)
+            raise UnderrunError(f"the output ran out of samples after {task.passed}: write samples earlier", lost)
 
     def _fail(self, task: DaqmxTask, code: Code, message: str) -> None:
         task.error = DaqmxError(code, message)
@@ -755,7 +761,8 @@ class Board:
             for key, rate in rates.items():
                 if rate != known[key]:
                     raise DaqmxError(
-                        Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate: the running rig has {known[key]} Hz, not {rate}"
+                        Code.INVALID_ATTRIBUTE_VALUE,
+                        f"SampClk.Rate: the running rig has {known[key]} Hz, not {rate} Hz",
                     )
             return self._fixed.config
         rate_hz = rates.get("daq.rate_hz", self._config.daq.rate_hz)
@@ -789,7 +796,8 @@ class Board:
         if task.samples is not None and wanted > task.samples - task.passed:
             raise DaqmxError(
                 Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
-                f"the task acquires {task.samples} samples, of which {task.samples - task.passed} are left",
+                f"{wanted} samples requested, but only {task.samples - task.passed} of the {task.samples} of this "
+                "finite task are left",
             )
 
     @staticmethod

@@ -189,7 +189,7 @@ class Service:
         """Set the sample clock of a task: rate, number of samples, and whether it is finite or continuous."""
         finite = self._must_be(request, "sample_mode", {FINITE, CONTINUOUS}) == FINITE
         if request.source.rpartition("/")[2] not in {"", "OnboardClock"}:
-            raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock {request.source!r}: use the onboard clock")
+            raise DaqmxError(Code.TRIGGER_TERMINAL, f"no clock source {request.source!r}: use OnboardClock")
         self.board.configure_clock(self._task(request), request.rate, request.samps_per_chan, finite=finite)
 
     @_served
@@ -268,7 +268,8 @@ class Service:
         """Write samples [V] of an output task, given as one waveform."""
         if len(request.waveforms) != 1:
             raise DaqmxError(
-                Code.INVALID_ATTRIBUTE_VALUE, f"{len(request.waveforms)} waveforms for the one output of this board"
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"write 1 waveform, as the board has 1 output, got {len(request.waveforms)}",
             )
         samples = request.waveforms[0].y_data
         return self._write(request, context, samples, len(samples))
@@ -276,7 +277,8 @@ class Service:
     def _write(self, request: Any, context: Any, samples: Sequence[float], count: int) -> dict[str, Any]:
         values = np.array(samples, np.float64)
         if len(values) == 0 or len(values) != count:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{len(values)} values, not {count}")
+            wrong = f"{len(values)} values to write, but the request states {count} samples per channel (at least 1)"
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, wrong)
         written = self.board.write(
             self._task(request), values, request.timeout, context.is_active, auto_start=request.auto_start
         )
@@ -296,7 +298,7 @@ class Service:
         def check(task: DaqmxTask) -> None:
             self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
             if request.n_samples < 1:
-                raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "n_samples must be at least 1")
+                raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"n_samples must be at least 1, got {request.n_samples}")
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return max(0, task.progress // int(request.n_samples) - reported)
@@ -307,7 +309,7 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield one response, with the error code, each time that a run of a task has ended."""
+        """Yield a response, with the error code, each time that a task has completed its samples or failed."""
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return int(task.state is State.DONE and not reported)
@@ -471,7 +473,9 @@ class Service:
         elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MAX, pb.CHANNEL_ATTRIBUTE_AO_MAX}:
             self.board.configure_range(task, request.channel, high=value)
         else:
-            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} of this board cannot be set now")
+            raise DaqmxError(
+                Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board, or not while the task runs"
+            )
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
@@ -497,7 +501,7 @@ class Service:
         value = _value(request, field)
         if value not in allowed:
             known = ", ".join(map(str, sorted(allowed)))
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{field}: this board supports {known}, got {value}")
+            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"{field} must be one of {known} on this board, got {value}")
         return int(value)
 
 
@@ -563,7 +567,9 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
         try:
             port = server.add_insecure_port(address)
         except RuntimeError as error:
-            raise ImpactRigError(f"cannot listen on {address}: is the port in use?") from error
+            raise ImpactRigError(
+                f"cannot listen on {address}: the port is in use, or the host is not of this machine"
+            ) from error
         server.start()
         try:
             yield server, port

@@ -35,6 +35,7 @@ from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import SCAN
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
+from impact_rig.rig.interlock import amplitude_limit
 from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
 
@@ -74,6 +75,13 @@ class StreamLevel(NamedTuple):
     capacity: int
     late: int
     missing: int
+
+    def __str__(self) -> str:
+        """Return the state of the buffer as text, for error messages."""
+        return (
+            f"sample {self.sample} is next, {self.buffered} of at most {self.capacity} are buffered, "
+            f"{self.late} were late, {self.missing} were missing"
+        )
 
 
 class Turns:
@@ -208,7 +216,7 @@ class RigDriver(abc.ABC):
     @property
     @abc.abstractmethod
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop) until its latch is released; empty if it is not."""
+        """Reason why the shaker is stopped (trip or emergency stop) and latched; empty if it is not stopped."""
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
@@ -284,7 +292,7 @@ class RigDriver(abc.ABC):
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
             raise ConfigError(
-                f"cannot run to sample {sample}: {self.name} is at {self.sample}, and a block has "
+                f"cannot run to sample {sample}: {self.name} is at {self.sample}, and advances by whole blocks of "
                 f"{self.block_scans} samples"
             )
         if blocks:
@@ -355,7 +363,9 @@ class RigDriver(abc.ABC):
         """
         if topic not in kept:
             names = ", ".join(sorted(kept))
-            raise ConfigError(f"{topic!r} is not kept, only {names}; the argument `also` of a rig names further topics")
+            raise ConfigError(
+                f"topic {topic!r} is not kept, only {names}; the argument `also` of a rig names further topics"
+            )
         return kept[topic]
 
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
@@ -378,7 +388,10 @@ class RigDriver(abc.ABC):
         from impact_rig.physics.linear_response import transmissibility  # noqa: PLC0415  # loads compiled code
 
         if self.config.sphere.present:
-            raise ConfigError("the closed form holds without the sphere: start the rig with sphere.present: false")
+            raise ConfigError(
+                "the transmissibility has a closed form only without the sphere: start the rig with "
+                "sphere.present: false"
+            )
         return complex(transmissibility(self.config, frequency_hz))
 
     @property
@@ -414,8 +427,9 @@ class RigDriver(abc.ABC):
         lines += [f"    fault: {fault}" for fault in self.faults]
         lines += [f"    scans {first} to {end - 1} were not published" for first, end in self.lost_samples()[:5]]
         applied = {int(row["sample"]): row for row in self.rows(topics.APPLIED.name)}
+        _name, unit, _limit, _why = amplitude_limit(self.config.drive, self.config.shaker)
         for sample, row in list(applied.items())[-10:]:
-            lines.append(f"    from scan {sample} on: {row['frequency']:g} Hz, {row['current']:g} A")
+            lines.append(f"    drive from scan {sample} on: {row['frequency']:g} Hz, {row['current']:g} {unit}")
         return "\n".join(lines)
 
     def first_scan(self, table: Table) -> int:

@@ -34,6 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from impact_rig.blocks import Table
 from impact_rig.driver.driver import RigDriver, StreamLevel
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.instruments.section import SCAN
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig.topics import INFO
@@ -274,7 +275,7 @@ class Acquisition:
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
-        """Return the rig time between the playing of a sample of the output and the taking of a scan [s]; > 0 if later.
+        """Return how much later in rig time a scan is taken than a sample of the output is played [s].
 
         Args:
             sample: number of the sample.
@@ -361,8 +362,8 @@ class Hardware:
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
         """Play samples, and return the scans from the first to the last sample, and `rest` further scans.
 
-        The stream ends after the last sample, so the drive is zero in the further scans. Samples and scans must have
-        the same rate.
+        The stream ends after the last sample, so the drive ramps to zero during the further scans. Samples and scans
+        must have the same rate.
 
         Raises:
             TimeoutError: the rig did not advance.
@@ -386,9 +387,9 @@ class Hardware:
             beyond = np.flatnonzero(np.abs(table.rows[channel]) > limit)
             if len(beyond):
                 scan = self.rig.first_scan(table) + int(beyond[0])
-                reading = table.rows[channel][beyond[0]]
+                reading, unit = table.rows[channel][beyond[0]], INSTRUMENTS[channel].unit
                 raise CommandError(
-                    f"aborted: {channel} reads {reading:.6g}, beyond the limit {limit:g}, at scan {scan}"
+                    f"aborted: {channel} reads {reading:.6g} {unit}, beyond the limit {limit:g} {unit}, at scan {scan}"
                 )
 
 
@@ -455,7 +456,7 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
             if stopped := rig.stopped:
                 raise CommandError(stopped) from error
             if time.monotonic() >= deadline:
-                raise TimeoutError(f"timeout: waiting for {what}: {rig.stream_level()}") from error
+                raise TimeoutError(f"timeout: waiting for {what}; drive stream: {rig.stream_level()}") from error
             if rig.runs_by_itself:
                 rig.fed.set()
         else:

@@ -69,8 +69,8 @@ class LocalRig(RigDriver):
     Args:
         config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
             docs/reference/configuration.md.
-        faults: planned faults.
-        name: name in reports.
+        faults: instrument faults that are planned in addition to those of the configuration.
+        name: name of the rig in reports and messages.
         analysis: parameters of the rig's analysis, as those of its node (`gap_m` is the operator's label); None means
             no analysis.
         record: directory of a run to write while the rig moves; None means no recording.
@@ -140,7 +140,7 @@ class LocalRig(RigDriver):
         while blocks > 0:
             chunk = self.core.blocks_with_samples(1 if one_by_one else min(blocks, BATCH_BLOCKS))
             if chunk == 0:
-                raise NoSamplesError(f"the stream has no samples for {blocks} blocks: {self.stream_level()}")
+                raise NoSamplesError(f"the drive stream has no samples for {blocks} blocks: {self.stream_level()}")
             blocks -= chunk
             found = self.core.advance(self.core.block_end_ns(chunk))
             self._publish_changes()
@@ -200,7 +200,7 @@ class LocalRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop) until its latch is released; empty if it is not."""
+        """Reason why the shaker is stopped (trip or emergency stop) and latched; empty if it is not stopped."""
         return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
 
     @property

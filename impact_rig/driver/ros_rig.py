@@ -89,8 +89,8 @@ class RosRig(RigDriver):
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
             value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
-        faults: planned faults.
-        name: name in reports.
+        faults: instrument faults that are planned in addition to those of the configuration.
+        name: name of the rig in reports and messages.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: parameters of an analysis node to start; None means no analysis.
         record: directory of a run that a recorder writes; True means a temporary one, from which `save` copies it.
@@ -204,7 +204,7 @@ class RosRig(RigDriver):
         values = to_flat(config)
         for key, value in (differences(required) if isinstance(required, RigConfig) else required).items():
             if values[key] != value:
-                raise ConfigError(f"the running rig must have {key}: {value}, it has {values[key]}")
+                raise ConfigError(f"the running rig has {key}: {values[key]}, but {value} is required")
         return config
 
     def _connect_stream(self) -> None:
@@ -253,7 +253,7 @@ class RosRig(RigDriver):
         """
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
-            raise ConfigError(f"node {node.get_name()!r} does not subscribe to {SCANS}")
+            raise ConfigError(f"hosted node {node.get_name()!r} does not subscribe to {SCANS}")
         self._tested.append(node)
         self._add_peer(node.get_name())
         return node
@@ -315,7 +315,7 @@ class RosRig(RigDriver):
         if not self.runs_by_itself:
             self._step(blocks, timeout_s)
             return
-        end, what = self.sample + blocks * self.block_scans, "a block of scans"
+        end, what = self.sample + blocks * self.block_scans, f"{blocks} blocks of scans"
         try:
             self.client.wait_until(lambda: self._received_to() >= end, what, timeout_s, self.client.given(what))
         finally:
@@ -421,7 +421,7 @@ class RosRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop), from the journal; empty if it is not."""
+        """Reason why the shaker is stopped (trip or emergency stop), from the journal; empty if it is not stopped."""
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
             if entry.kind is InputKind.TRIP:
@@ -574,7 +574,7 @@ class RosRig(RigDriver):
                 on_scan(message)
 
         def on_scan(_message: Received) -> None:
-            """Count the outputs, which may overtake the blocks they answer."""
+            """Acknowledge the block that the newest answer belongs to; an answer may arrive before the block itself."""
             known = min(answered, len(scans))
             if known > begin:
                 self.client.acknowledge_for(name, codec.header_stamp_ns(scans.received[known - 1].data))

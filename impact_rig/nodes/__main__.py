@@ -38,10 +38,10 @@ usage: {program} [-h] [--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r __ns
 options:
   -h, --help             show this help and exit
 
-arguments of ROS, behind --ros-args:
-  --params-file FILE     parameters from a ROS 2 parameter file, as `ros2 param dump /{node}` writes it
-  -p NAME:=VALUE         one parameter, on top of the file
-  -r __ns:=/NAMESPACE    namespace of its topics and services
+arguments of ROS, after --ros-args:
+  --params-file FILE     ROS 2 parameter file with start-up values, as `ros2 param dump /{node}` writes it
+  -p NAME:=VALUE         start-up value of one parameter; it overrides the file
+  -r __ns:=/NAMESPACE    namespace of the node, its topics and its services (default: none)
 
 examples:
   {program} --ros-args -p {example}
@@ -53,22 +53,22 @@ Use = tuple[str, str, str]
 """Usage text of a node's program: what it does, an example of its arguments, and where to read more."""
 NODES: dict[str, Use] = {
     "rig": (
-        "Virtual test rig: publishes the readings of its instruments; frequency and current are its commands.",
+        "Simulated vibration test rig: publishes the readings of its instruments, and obeys commands to its shaker.",
         "barriers.gap_m:=0.004",
-        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` is a dry run.",
+        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` validates a parameter file.",
     ),
     "analysis": (
-        "Analysis: measures displacement transmissibility and impacts from daq/scan.",
+        "Analysis: computes displacement transmissibility and impacts from the scans of a rig (topic daq/scan).",
         "gap_m:=0.004",
         "Topics and parameters: docs/reference/interface.md.",
     ),
     "recorder": (
-        "Recorder: writes a rig's topics into an MCAP run, from its start on or between ~/start and ~/stop.",
+        "Recorder: writes the topics of a rig into an MCAP run, at once or (record:=false) from ~/start to ~/stop.",
         "name:=first_light",
         "Topics, services and parameters: docs/reference/interface.md.",
     ),
     "plot": (
-        "Topics for plotters: envelopes, spectra, drive and transmissibility as small messages of standard types.",
+        "Plot node: publishes envelopes, spectra, drive and transmissibility of a rig as small messages for plotters.",
         "autostart:=false",
         "Topics: docs/reference/interface.md.",
     ),
@@ -122,7 +122,7 @@ def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
     """
     if show_help(node, use, sys.argv[1:]):
         return
-    # a node that ends on request has succeeded: launch takes any other exit code for a crash
+    # a node that ends on request has succeeded: launch treats any exit code other than 0 as a crash
     ending = Ending(f"{node}_node", code=lambda _number: 0)
     parent = int(os.environ.get(PARENT_VARIABLE, "0"))
     if parent:
@@ -140,5 +140,5 @@ def _end(ending: Ending) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m impact_rig.nodes", description=__doc__)
-    parser.add_argument("node", choices=NODES, help="node to run; its options follow")
+    parser.add_argument("node", choices=NODES, help="node to run; further arguments are passed to it")
     _run(parser.parse_args([sys.argv.pop(1)] if sys.argv[1:] else []).node)

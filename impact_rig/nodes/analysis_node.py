@@ -41,8 +41,8 @@ from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 UNCALIBRATED = (
-    "scans arrive without daq/info, so nothing can be measured: latched topics are missing, as after ros2 bag "
-    "play --start-offset; play the bag from its start"
+    "scans arrive without their calibration (daq/info), so nothing can be measured; after ros2 bag play "
+    "--start-offset, play the bag from its start"
 )
 SILENCE_S = 2.0  # wall time without a block after which scans count as missing; a paused rig sends none either
 UNKNOWN_GAP = -1.0
@@ -55,7 +55,8 @@ class AnalysisSettings(TrackerSettings):
     gap_m: float = quantity(
         UNKNOWN_GAP,
         "m",
-        "Operator's label: total gap, 0 = no sphere, -1 = unknown; applies from the newest scan on.",
+        "Operator's label of the measurements: total gap between the barriers; 0 = no sphere, -1 = unknown. A change "
+        "applies from the newest scan on.",
         at_least=UNKNOWN_GAP,
         at_most=1,
     )
@@ -64,7 +65,7 @@ class AnalysisSettings(TrackerSettings):
     def __attrs_post_init__(self) -> None:
         super().__attrs_post_init__()
         if UNKNOWN_GAP < self.gap_m < 0:
-            raise ConfigError(f"gap_m must be >= 0, or -1 for unknown, got {self.gap_m:g} m")
+            raise ConfigError(f"gap_m must be >= 0 m, or -1 for unknown, got {self.gap_m:g}")
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):
@@ -136,10 +137,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         """Return the state of the measurement, or `no_scans` if no block of scans has arrived for two seconds."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
-            return NodeState(words.NO_SCANS, "none received yet")
+            return NodeState(words.NO_SCANS, "no scans received yet")
         silent_s = time.monotonic() - self._heard_at
         if silent_s > SILENCE_S:
-            return NodeState(words.NO_SCANS, f"none for {SILENCE_S:g} s")
+            return NodeState(words.NO_SCANS, f"no scans received for {SILENCE_S:g} s")
         found = self._tracker.state
         return NodeState(words(found.word), self._waiting() or found.reason, found.since_ns)
 
@@ -151,11 +152,11 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if self._tracker is None:
             return Level.WARN, self.state
         if self._newest is None:
-            return Level.OK, "waiting for daq/scan"
+            return Level.OK, "waiting for the first scans on daq/scan"
         if not self._tracker.is_calibrated:
             return Level.WARN, UNCALIBRATED
         if self._tracker.counters.lost_scans:
-            return Level.WARN, "scans were lost"
+            return Level.WARN, "some scans of this measurement never arrived: see lost_scans"
         why = self._waiting()
         return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 

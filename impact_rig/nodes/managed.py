@@ -214,7 +214,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.refusals = Refusals()
         self.frame_prefix = graph.frame_prefix(self.get_namespace())
-        """Prefix of the frame names in published messages, from the namespace; to tell the frames of two rigs apart."""
+        """Prefix of the frame names in published messages, made from the namespace: the frames of two rigs differ."""
         arguments = kwargs.get("cli_args") or sys.argv
         self.parameters = Parameters(self, tree, arguments, self.MAKES_TIME, self.complete)
         self.outputs: dict[str, Publisher] = {}  # publishers by topic, created by `offer`; destroyed at clean-up
@@ -494,7 +494,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._last_error = (-ERROR_MEMORY_S, "")
         done = self._transition("configure", self.configure, undo=self._free)
         if done == TransitionCallbackReturn.SUCCESS:
-            self.get_logger().info("configured")
+            self.get_logger().info("node configured")
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -503,13 +503,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         done = self._transition("activate", self.activate, undo=self._stop)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
-        self.get_logger().info("active")
+        self.get_logger().info("node active")
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run `deactivate` at a lifecycle transition, and destroy the timers and subscriptions of the activation."""
         self._transition("deactivate", self._stop)
-        self.get_logger().info("deactivated")
+        self.get_logger().info("node deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
@@ -525,7 +525,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def close(self) -> None:
         """Stop the node's work and free everything before the process ends; works even if ROS is already shut down."""
         self._transition("clean up", self._free)
-        self.get_logger().info("ended")
+        self.get_logger().info("node ended")
 
     def destroy_node(self) -> None:
         """Destroy the node and its lifecycle state machine; otherwise the node would stay in the ROS graph."""
@@ -576,9 +576,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             try:
                 if rclpy_internals.is_possible(self, request.transition):
                     return original(request, response)
-                self.refuse("transition", f"{wanted!r} is not possible in state {self.state!r}")
+                self.refuse("transition", f"transition {wanted!r} is not possible in lifecycle state {self.state!r}")
             except Exception as error:  # rclpy raises RCLError, which is not exported
-                self.refuse("transition", f"{wanted!r} failed in state {self.state!r} ({error})")
+                self.refuse("transition", f"transition {wanted!r} failed in lifecycle state {self.state!r}: {error}")
             finally:
                 self.report_change()
             response.success = False

@@ -36,8 +36,8 @@ Clock = Callable[[], int]  # a monotonic clock [ns], e.g. `time.monotonic_ns`
 MAX_LAG_NS = NS_PER_S
 """Lag [ns of rig time] beyond which a rig in real time does not catch up: the blocks would overflow all queues."""
 LATENESS_WINDOW = 3000  # number of blocks in the lateness statistics: 30 s of 10 ms blocks
-LATE_CALLS = 100
-LATE_SHARE = 0.1  # share of the period from which a call counts as late
+LATE_CALLS = 100  # number of late calls in a row after which the work timer is started again in phase
+LATE_SHARE = 0.1  # a call counts as late if it comes later than its time in phase by more than this share of a period
 _AT_ONCE_S = 1e-6
 
 

@@ -88,7 +88,9 @@ class Parameters(Generic[S]):
         for name, value in tree.to_flat(self.settings).items():
             found = descriptor(self._infos[name], value)
             node.declare_parameter(name, _to_ros(value), found, ignore_override=True)
-        about = ParameterDescriptor(description="Configuration file to start from.", read_only=True)
+        about = ParameterDescriptor(
+            description="Configuration file with start-up values; other parameters override it.", read_only=True
+        )
         node.declare_parameter(CONFIG_FILE, str(given.get(CONFIG_FILE, "")), about, ignore_override=True)
 
     def _at_start(self, given: Mapping[str, object], files: str, complete: Callable[[S], S]) -> S:
@@ -139,7 +141,7 @@ class Parameters(Generic[S]):
         same = given == present or (type(given) is type(loaded) and given == loaded)
         fixed = self._node.describe_parameter(parameter.name).read_only
         if fixed and not same:
-            raise ConfigError(f"{parameter.name} is read-only and can be set at start only (parameter file or -p)")
+            raise ConfigError(f"{parameter.name} is read-only: set it when the node starts (parameter file or -p)")
         return same and (fixed or isinstance(present, str))
 
 

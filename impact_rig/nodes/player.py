@@ -121,11 +121,15 @@ class Player:
         paused: bool = False,
     ) -> None:
         if peers and chosen and run.name(topics.SCAN) not in map(run.name, chosen):
-            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}: include it in the chosen topics")
+            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}, so include it in the chosen topics")
         if factor is None and not peers:
-            raise ImpactRigError("the highest rate needs peers that acknowledge: without them messages would be lost")
+            raise ImpactRigError(
+                f"playback at the highest rate would lose messages: name a peer that acknowledges {topics.SCAN.name}"
+            )
         if run.end_ns > LAST_NS:
-            raise RecordingError(f"{run.path}: log time {run.end_ns} ns is not a valid ROS time (at most {LAST_NS} ns)")
+            raise RecordingError(
+                f"{run.path}: a message has the log time {run.end_ns} ns, the largest ROS time is {LAST_NS} ns"
+            )
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
         self._scan = run.resolve(topics.SCAN.name)
@@ -215,7 +219,9 @@ class Player:
         self._rested_at = now
         silent = self._window.silent()
         if silent:
-            raise ImpactRigError(f"peer {', '.join(silent)} acknowledged nothing for {PEER_TIMEOUT_S:g} s")
+            raise ImpactRigError(
+                f"playback stopped: peer {', '.join(silent)} acknowledged no block for {PEER_TIMEOUT_S:g} s"
+            )
         self._spin(longest_s)
         yield self.now_ns
 
@@ -235,7 +241,7 @@ class Player:
         except NameValidationException as error:
             raise RecordingError(f"{self._run.path}: {topic.name!r} is not a valid topic name") from error
         except (ImportError, AttributeError, ValueError) as error:
-            raise ImpactRigError(f"{topic.name}: the interface {topic.type_name!r} is not installed") from error
+            raise ImpactRigError(f"{topic.name}: the message type {topic.type_name!r} is not installed") from error
 
     def _on_ack(self, message: Header) -> None:
         self._window.acknowledge(message.frame_id, messages.nanoseconds(message.stamp))

@@ -43,7 +43,7 @@ PUBLISHED = [topic for topic in TOPICS if topic.publisher == "plot"]
 
 @attrs.frozen(kw_only=True)
 class PlotSettings:
-    """Parameters of the plot node."""
+    """Parameters of the plot node: only whether it starts its work without a request."""
 
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 

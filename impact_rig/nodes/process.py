@@ -76,7 +76,7 @@ def make_executor(context: Any = None) -> Any:
 
 
 def spin(executor: Any, seconds: float) -> None:
-    """Run the callbacks of an executor for this long [s], without returning to Python code after each of them."""
+    """Run the callbacks of an executor for this long [s], without returning to the caller after each of them."""
     never: Future[None] = Future()
     executor.spin_until_future_complete(never, timeout_sec=seconds)
 
@@ -119,7 +119,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
             executor = make_executor()
             node = make_node()
     except Exception as error:  # raised by rclpy for arguments, parameter files and names; it exports no class for them
-        print(f"cannot start: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
+        print(f"cannot start the node: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201  # there is no logger yet
         rclpy.try_shutdown()
         return EXIT_USAGE
     node.is_ending = lambda: bool(ending.received) or node.quitting

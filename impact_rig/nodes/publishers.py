@@ -49,10 +49,10 @@ KEPT_S, KEPT_BYTES = 25.0, 16_000_000
 A killed process can block messages to other subscribers until the middleware drops it, about 20 s later. Scans that are
 kept until then still reach those subscribers.
 """
-LEAST_S, LEAST_BLOCKS = 2.0, 100  # minimum duration and number of blocks of the scans kept, whichever is less
-GRAPH_POLL_S = (
-    0.1  # minimum interval between two checks for subscribers in real time: each costs a twentieth of a block
-)
+LEAST_S, LEAST_BLOCKS = 2.0, 100
+"""Duration [s] and number of blocks of the scans that are kept at least, even beyond `KEPT_S` and `KEPT_BYTES`."""
+GRAPH_POLL_S = 0.1
+"""Minimum interval [s] between two checks for subscribers in real time: a check costs a twentieth of a block."""
 QUEUE = 256
 """Number of messages to one process that the middleware can certainly hold.
 

@@ -82,16 +82,20 @@ NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" an
 class RecorderSettings:
     """Parameters of the recorder node."""
 
-    directory: str = text("runs", "Directory in which run directories are created.")
+    directory: str = text("runs", "Directory in which the directory of each run is created.")
     name: str = text(
-        "", "Name of the run directory; empty: run_, date and time, with a number if it exists.",
+        "", "Name of the run's directory; empty means run_, date and time, and a number if that exists.",
         pattern=f"({FILE_NAME})?", means=FILE_NAME_MEANS,
     )  # fmt: skip
-    record: bool = switch(True, "Start recording on activation; otherwise with ~/start.", read_only=True)
-    compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the chunks.")
-    max_file_mb: int = integer(0, "MB", "Size at which files are split; 0 = never.", at_least=0, at_most=1_000_000)
+    record: bool = switch(
+        True, "Whether recording starts at activation; otherwise it starts with ~/start.", read_only=True
+    )
+    compression: str = choice("zstd", ("none", "lz4", "zstd"), "Compression of the recorded data.")
+    max_file_mb: int = integer(
+        0, "MB", "Size at which a run continues in a further file; 0 = never.", at_least=0, at_most=1_000_000
+    )
     configuration_wait_s: float = quantity(
-        5.0, "s", "Longest wait of a start for the rig's configuration before it records without.", at_least=0
+        5.0, "s", "Longest wait for the rig's configuration, after which a run starts without it.", at_least=0
     )
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
@@ -176,16 +180,16 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._writer is not None and self._mixed():
             return NodeState(words.RIVAL, self._mixed())
         if self._writer is not None and (lost or self._refused):
-            missing = [f"{count} of {self._added[name]} lost" for name, count in lost.items()]
-            missing += [f"{count} of {name} refused" for name, count in self._refused.items()]
+            missing = [f"{count} messages on {self._added[name]} lost" for name, count in lost.items()]
+            missing += [f"{count} invalid messages on {name} not recorded" for name, count in self._refused.items()]
             return NodeState(words.LOSING, ", ".join(missing))
         if self._waiting:
-            return NodeState(words.WAITING, "for the rig's configuration")
+            return NodeState(words.WAITING, "waiting for the rig's configuration")
         if self._awaited:
-            return NodeState(words.WAITING, f"for {', '.join(sorted(self._awaited))}")
+            return NodeState(words.WAITING, f"waiting for {', '.join(sorted(self._awaited))}")
         if self._writer is not None:
             return NodeState(words.RECORDING)
-        return NodeState(words.IDLE, "the last recording lacks messages" if lost else "")
+        return NodeState(words.IDLE, "messages of the last recording were lost" if lost else "")
 
     def health(self) -> tuple[Level, str]:
         """Return level and message of diagnostics: whether the node records, and a problem with the recording."""
@@ -200,7 +204,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
             return Level.ERROR, f"messages were lost before they reached the recorder{held}"
         if self._writer is not None and self._refused:
-            return Level.WARN, f"not recorded, because invalid: messages on {', '.join(sorted(self._refused))}"
+            return Level.WARN, f"recording without invalid messages on {', '.join(sorted(self._refused))}"
         if self._waiting:
             return Level.OK, "waiting for the rig's configuration"
         if self._awaited:
@@ -229,9 +233,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
         if not self.active:
-            raise RecordingError(f"the recorder is {self.state}, activate it first")
-        if self._writer is not None or self._waiting:
-            raise RecordingError(f"already recording {self._writer.directory if self._writer else ''}")
+            raise RecordingError(f"the recorder is {self.state}: activate it first")
+        if self._writer is not None:
+            raise RecordingError(f"already recording {self._writer.directory}: call ~/stop first")
+        if self._waiting:
+            raise RecordingError("a recording is already requested, and waits for the rig's configuration")
         self._take_all()
         self._starting.append(done)
         self._start()
@@ -278,7 +284,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._waiting = False
         if self._configuration is None:
-            self.get_logger().warning("no rig/configuration received, so the run contains no configuration")
+            self.get_logger().warning("no message received on rig/configuration: the run contains no configuration")
         try:
             self._writer = self._open(self._configuration)
         except RecordingError as error:
@@ -335,7 +341,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Write all messages that have arrived, and close the run; a run not opened yet is cancelled."""
         self._waiting = False
         writer = self._leave_run()
-        self._answer(False, "recording was stopped")
+        self._answer(False, "the recording was stopped before it had fully started")
         if writer is None:
             return
         try:
@@ -343,7 +349,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         except RecordingError as error:
             self._fail(error)
             return
-        self.get_logger().info(one_line(f"finished {writer.directory}: {writer.message_count} messages"))
+        self.get_logger().info(one_line(f"finished recording {writer.directory}: {writer.message_count} messages"))
 
     def _fail(self, error: RecordingError) -> None:
         """Stop recording because of an error, close the run, and show the error in diagnostics until ~/start or ~/stop.
@@ -389,7 +395,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._open_when_ready()
         came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
-            self.get_logger().warning(f"nothing received on {', '.join(sorted(self._awaited))}")
+            names = ", ".join(sorted(self._awaited))
+            self.get_logger().warning(f"no message received on {names} within {AWAIT_S:g} s: recording without it")
             self._awaited = set()
         if self._writer is not None:
             try:
@@ -472,7 +479,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _secured(self) -> bool:
-        """Write the received data to disk, so that they survive this process; return whether they may be acknowledged.
+        """Write the received data to the file, so they survive this process; return whether they may be acknowledged.
 
         The rig publishes the scans of a block last, and middleware and executor keep the order, so the rest of the
         block has arrived. The exceptions are messages that the middleware lost and sends again, because this process

@@ -39,7 +39,8 @@ SLOW_S = 1.0
 At 100 blocks per second, the queue of a reader holds ten times as much.
 """
 CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
-_WITHOUT = {"ramp": "ramped to zero", "hold": "the last one is held", "trip": "ramped to zero"}
+_WITHOUT = {"ramp": "the drive ramps to zero", "hold": "the last one is held", "trip": "the drive ramps to zero"}
+"""Behaviour of the shaker while samples of its drive are missing, by `drive.on_underrun`."""
 MOST = 5  # maximum number of faults logged in one update; of further faults, only the number is logged
 
 
@@ -87,7 +88,7 @@ class RigState:
             return Level.ERROR if reason_not_ready.word is states.RigWord.RIVAL else Level.WARN, reason_not_ready.reason
         if rig is None:
             return Level.WARN, self._node.state
-        running = (Level.OK, f"running, {self._node.settings.time.mode}")
+        running = (Level.OK, f"running in time mode {self._node.settings.time.mode}")
         return worst(running, *((one.level, one.message) for one in self._problems(rig)))
 
     def figures(self) -> dict[str, object]:
@@ -156,45 +157,49 @@ class RigState:
         if others:
             yield Problem(Level.ERROR, others, NodeState(words.RIVAL, others))
         if missing and not realtime:
-            waiting = f"waiting for peer {missing}"
+            waiting = f"waiting for peer {missing} to subscribe to {topics.SCAN.name}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
             yield Problem(level, waiting, NodeState(words.NO_PEER, waiting))
-        quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s"] if silent else []
+        quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s, blocks not acknowledged"] if silent else []
         if session.is_starving:
             quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
         for why in quiet:
-            go_on = f"paused: {why} (~/pause false continues without it)"
+            go_on = f"rig time stands still: {why} (~/pause with false continues without it)"
             yield Problem(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
         if rig.latched is not None:
-            yield Problem(Level.ERROR, f"shaker latched by {rig.latched}", NodeState(words.TRIPPED, rig.latched))
+            latched = f"shaker latched by {rig.latched}: it stays stopped until ~/clear_trip"
+            yield Problem(Level.ERROR, latched, NodeState(words.TRIPPED, rig.latched))
         if session.paused:
-            yield Problem(Level.WARN, "paused", NodeState(words.PAUSED, "~/pause"))
+            yield Problem(Level.WARN, "paused by ~/pause", NodeState(words.PAUSED, "~/pause"))
         if session.is_lockstep and session.is_idle:
-            yield Problem(Level.OK, "", NodeState(words.PAUSED, "no step is asked for"))
+            yield Problem(Level.OK, "", NodeState(words.PAUSED, "no step is requested"))
         without = missing if realtime else ", ".join(session.window.waived())
         if without:
             yield Problem(Level.WARN, f"running without peer {without}")
         if rig.takes_samples:
             who = session.controllers()
             if " and " in who:
-                yield Problem(Level.WARN, f"{who} all send samples: the last one received counts")
+                several = f"{who} all send samples on {topics.WAVEFORM.name}: the last one received counts"
+                yield Problem(Level.WARN, several)
             if rig.stream.state is StreamState.MISSING:
-                yield Problem(Level.WARN, f"no samples of {who} in time: {_WITHOUT[rig.config.drive.on_underrun]}")
+                without = _WITHOUT[rig.config.drive.on_underrun]
+                yield Problem(Level.WARN, f"samples of {who} did not arrive in time: {without}")
         if session.pacer.slips:
-            yield Problem(Level.WARN, "could not keep real time: see slips")
+            yield Problem(Level.WARN, "the rig could not keep real time: see slips and slipped_s")
         if realtime:
             per_second = daq.rate_hz * timing.factor / daq.block_scans
             for name, count in session.window.behind().items():
                 if count > SLOW_S * per_second + 1:
                     loses = " and loses scans" if count > session.publishers.kept_blocks else ""
-                    yield Problem(Level.WARN, f"{name} is {count / per_second:.0f} s behind{loses}")
+                    late = f"{name} is {count / per_second:.0f} s behind in reading {topics.SCAN.name}{loses}"
+                    yield Problem(Level.WARN, late)
         if realtime and abs(self._clock_step_s()) > CLOCK_STEP_S:
-            moved = f"the system clock was moved by {self._clock_step_s():+.3f} s, stamps were not"
+            moved = f"the system clock was set by {self._clock_step_s():+.3f} s; the rig's stamps ignore this"
             yield Problem(Level.WARN, moved)
         if rig.plucked:
             yield Problem(Level.OK, "base locked after a pluck", NodeState(words.PLUCKED))
         if session.counts.faults:
-            yield Problem(Level.OK, f"faults active: {', '.join(session.counts.faults.values())}")
+            yield Problem(Level.OK, f"instrument faults active: {', '.join(session.counts.faults.values())}")
 
     # The log
 
@@ -208,13 +213,13 @@ class RigState:
             self._rig, self._latched, self._faults, self._silent, self._lost = rig, None, {}, (), {}
             self._info(f"running: {summary(self._node.settings)}")
             if session.absent:
-                self._warn(f"scan 0 without {session.absent}, not discovered in time")
+                self._warn(f"started without peer {session.absent}, which was not discovered in time")
         if rig.latched != self._latched:
             self._latched = rig.latched
             if self._latched is None:
                 self._info("latch released: the shaker accepts commands again")
             else:
-                self._warn(f"tripped: shaker latched by {self._latched}, ~/clear_trip releases it")
+                self._warn(f"tripped: shaker latched by {self._latched}; ~/clear_trip releases it")
         state = rig.stream.state if rig.takes_samples else None
         if state is not self._stream and StreamState.MISSING in (state, self._stream):
             say = self._warn if state is StreamState.MISSING else self._info
@@ -225,15 +230,15 @@ class RigState:
             lost = count - session.publishers.kept_blocks
             if lost > self._lost.get(name, 0):
                 if name not in self._lost:
-                    self._warn(f"{name} is too slow and loses blocks of {topics.SCAN.name}")
+                    self._warn(f"{name} reads too slowly and loses blocks of {topics.SCAN.name}")
                 self._lost[name] = lost
         # A restarted peer never received the outstanding blocks: stop waiting for its predecessor.
         window.forgive(name for name in window.silent() if session.readers.came_ns(name) > window.heard_ns(name))
         silent = window.silent()
         for name in set(silent).difference(self._silent):
-            self._warn(f"peer {name} is silent: it owes acknowledgements of {topics.SCAN.name}")
+            self._warn(f"peer {name} is silent: it does not acknowledge blocks of {topics.SCAN.name}")
         for name in set(self._silent).difference(silent):
-            self._info(f"peer {name} is back")
+            self._info(f"peer {name} acknowledges {topics.SCAN.name} again")
         self._silent = silent
         for name in session.readers.gone(window.heard()):
             window.forget(name)
@@ -245,8 +250,9 @@ class RigState:
 
     def _log_faults(self, now: dict[int, str]) -> None:
         before, self._faults = self._faults, dict(now)
-        self._few([f"fault {number} acts: {now[number]}" for number in now.keys() - before.keys()], self._warn)
-        self._few([f"fault {number} has ended: {before[number]}" for number in before.keys() - now.keys()], self._info)
+        begun, ended = now.keys() - before.keys(), before.keys() - now.keys()
+        self._few([f"instrument fault {number} has started: {now[number]}" for number in begun], self._warn)
+        self._few([f"instrument fault {number} has ended: {before[number]}" for number in ended], self._info)
 
     def _few(self, lines: list[str], say: Callable[[str], None]) -> None:
         for line in sorted(lines)[:MOST]:
@@ -264,6 +270,6 @@ class RigState:
 def summary(config: RigConfig) -> str:
     """Return one line about what determines the data of a rig: time mode, scan rate, gap, contact law and seed."""
     factor = f" x {config.time.factor:g}" if config.time.mode == "realtime" else ""
-    gap = f"gap {1e3 * config.barriers.gap_m:g} mm, law {config.contact.law}"
+    gap = f"gap {1e3 * config.barriers.gap_m:g} mm, contact law {config.contact.law}"
     sphere = gap if config.sphere.present else "no sphere"
     return f"{config.time.mode}{factor}, {config.daq.rate_hz} scans/s, {sphere}, seed {config.daq.seed}"

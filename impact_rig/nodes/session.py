@@ -128,7 +128,7 @@ class DuplicatePublishers:
             if self._sentence != before:
                 logger = self._node.get_logger()
                 logger.error(self._sentence) if self._sentence else logger.info(
-                    "no other publisher left on these topics"
+                    "no other node publishes topics of this rig now"
                 )
         return self._sentence
 
@@ -138,7 +138,7 @@ class DuplicatePublishers:
             if self._node.count_publishers(name) > 1:
                 for other in self._others(name):
                     found.setdefault(other, []).append(name)
-        return "; ".join(f"{other} publishes {', '.join(names)} as well" for other, names in found.items())
+        return "; ".join(f"{other} publishes {', '.join(names)} as well as this rig" for other, names in found.items())
 
     def _others(self, name: str) -> set[str]:
         own = self._node.get_fully_qualified_name()
@@ -244,19 +244,19 @@ class Session:
     def __init__(self, node: ManagedNode[RigConfig]) -> None:
         self.node = node
         self.lock = NamespaceLock(node)
-        self.rig: Rig | None = None  # the device; None before it has started
-        self._latched: str | None = None  # reason why the next rig starts latched: the previous one was
+        self.rig: Rig | None = None  # the simulated rig; None before it has started
+        self._latched: str | None = None  # reason of a latch that the next rig inherits from the previous one
         self.pacer = Pacer(time.monotonic_ns)
         self.window = AckWindow((), 1, NS_PER_S, time.monotonic_ns)
         self.counts = Counts()
         self.absent = ""  # peers not discovered in time, separated by commas
-        self._contact: object = None  # the settings of the next contact law
-        # realised restitution of the contact law: with the paper's law 0.309 for 0.35
+        self._contact: object = None  # settings of the contact law for which the next value was computed
+        # restitution coefficient that the contact law realises: with the paper's law 0.309 for a nominal 0.35
         self.realised_restitution = math.nan
         self.paused = False  # whether rig time stands still except for requested steps
         self.clock_offset_ns = 0
         self._is_still = False  # no step has been requested since the pause
-        # rig time since which a rig that runs ahead has waited for samples of a stream
+        # monotonic time [s] since which a rig outside of real time has waited for samples of its drive
         self._starved_at: float | None = None
         self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and time of the last step request
         self._stepping: list[Done] = []
@@ -265,7 +265,7 @@ class Session:
         self._history_settled = self._active = False
         self._timer = WorkTimer(node, self._on_timer)
         self._worked_at = self._used_s = self._slice_began = 0.0
-        # time of the last resumption of this process: monotonic, system time
+        # time at which this process last resumed from a suspension: monotonic [s], system time [ns]
         self._resumed_at, self._resumed_ns = -math.inf, 0
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._clock_is_set = False  # whether the system clock was set during that suspension or soon after it
@@ -278,10 +278,10 @@ class Session:
         node.service(Trigger, "~/step", self._on_step)
         node.service(SetBool, "~/pause", lambda request, done: self.pause(done) if request.data else self.resume(done))
         for name, act, said in (
-            ("reset", self.reset, "reset: scan 0"),
+            ("reset", self.reset, "reset: the rig starts again at scan 0"),
             ("stop", Rig.stop, "shaker ramps to zero and stays latched until ~/clear_trip"),
-            ("clear_trip", Rig.clear_trip, "latch released; current stays zero until the next command"),
-            ("pluck", self._pluck, "base locked, structure released; ~/reset unlocks"),
+            ("clear_trip", Rig.clear_trip, "latch released; the amplitude stays zero until the next command"),
+            ("pluck", self._pluck, "base locked, structure displaced and released; ~/reset unlocks the base"),
         ):
             in_time = None if name == "stop" else self.refuse_backlog
             node.service(Trigger, f"~/{name}", functools.partial(self._act, act, said), in_time)
@@ -330,7 +330,8 @@ class Session:
         self.readers.expect(timing.peers)
         if self.is_realtime and timing.peers:
             names = ", ".join(self.readers.missing())
-            self.node.get_logger().info(f"scan 0 waits for {names}, at most {timing.start_wait_s:g} s")
+            wait = f"waiting for peer {names} to subscribe before scan 0, at most {timing.start_wait_s:g} s"
+            self.node.get_logger().info(wait)
         self._history_settled, self._active = False, True
         self._steps_left, self.counts, self._starved_at = 0, Counts(), None
         self._timer.start(AHEAD_PERIOD_S, 0.0)
@@ -349,16 +350,15 @@ class Session:
             return None
         others = self.duplicates.sentence()
         if others:
-            return NodeState(states.RigWord.RIVAL, f"waiting to be alone: {others}")
+            return NodeState(states.RigWord.RIVAL, f"waiting until no other rig is here: {others}")
         if not self.lock.take():
-            return NodeState(
-                states.RigWord.RIVAL, "waiting to be alone: another rig of this machine is in this namespace"
-            )
+            here = "another rig of this machine is in this namespace"
+            return NodeState(states.RigWord.RIVAL, f"waiting until no other rig is here: {here}")
         patience_s = self.node.settings.time.start_wait_s
         if not self.is_realtime or self.readers.all_matched() or self.readers.overdue(patience_s):
             return None  # the other modes wait block by block
         names = ", ".join(self.readers.missing())
-        return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names}, at most {patience_s:g} s")
+        return NodeState(states.RigWord.NO_PEER, f"waiting for peer {names} to subscribe, at most {patience_s:g} s")
 
     def _begin(self) -> None:
         """Create and start a new rig: its scan 0 is at the present time in real time, and at time 0 otherwise.
@@ -415,7 +415,7 @@ class Session:
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
-        return f"the rig is {self.node.state}, activate it first"
+        return f"the rig is {self.node.state}: activate it first"
 
     # Work
 
@@ -494,9 +494,13 @@ class Session:
         late_s = (self._resumed_ns - sent_ns) / NS_PER_S
         if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
             if since_s < REPEATED_S:
-                raise CommandError("it may have been sent before this rig resumed from a suspension: send it again")
+                raise CommandError(
+                    "the command may have been sent before this rig resumed from a suspension: send it again"
+                )
         elif late_s > 0.0:
-            raise CommandError(f"it was sent {late_s:.1f} s before this rig resumed from a suspension: send it again")
+            raise CommandError(
+                f"the command was sent {late_s:.1f} s before this rig resumed from a suspension: send it again"
+            )
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
         """Simulate and publish the blocks that are due by the clock, until `deadline` [s, monotonic].
@@ -552,9 +556,9 @@ class Session:
         if self._stepping and self.is_starving:
             self._end_steps(f"{self.controllers()} sends no samples on {topics.WAVEFORM.name}")
         elif silent:
-            self._end_steps(f"peer {', '.join(silent)} does not acknowledge")
+            self._end_steps(f"peer {', '.join(silent)} does not acknowledge {topics.SCAN.name}")
         elif self._steps_left <= 0 and self._stepping and window.outstanding() == 0:
-            _answer(self._stepping, True, f"at {rig.next_block_ns / NS_PER_S:.9f} s")
+            _answer(self._stepping, True, f"rig time {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
         """Simulate up to the rig time `until_ns`, publish changes and then the blocks; return the number of blocks."""
@@ -607,9 +611,9 @@ class Session:
         starving = self.is_starving
         if self.paused or self.window.silent() or starving:  # a running rig gives nothing up
             self.paused = self._is_still = False
-            _answer(self._pausing, False, "resumed by request")
+            _answer(self._pausing, False, "the rig was resumed by another request")
             if not self.is_lockstep:
-                self._end_steps("resumed by request")
+                self._end_steps("the rig was resumed by another request")
             self.window.waive()
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
@@ -628,13 +632,15 @@ class Session:
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):
-            self._end_steps(f"peer {', '.join(self.readers.missing())} is absent")
+            self._end_steps(f"peer {', '.join(self.readers.missing())} does not subscribe to {topics.SCAN.name}")
 
     def _on_step(self, _request: Trigger.Request, done: Done) -> None:
         self.running()
         if not self.is_lockstep and not self.paused:
             mode = self.node.settings.time.mode
-            raise CommandError(f"the rig runs in {mode}: pause it first (~/pause), or set time.mode to lockstep")
+            raise CommandError(
+                f"no steps while the rig runs in {mode}: pause it first (~/pause), or start it with time.mode lockstep"
+            )
         self.step(1, done)
 
     # Other inputs
@@ -647,7 +653,7 @@ class Session:
         self.publishers.changes(rig)
         self.counts.faults.clear()  # planned faults start again and are reported again
         self._publish_configuration(rig)
-        self.node.get_logger().info("reset: scan 0")
+        self.node.get_logger().info("reset: the rig starts again at scan 0")
 
     def _pluck(self, rig: Rig) -> None:
         rig.pluck(self.node.settings.pluck.displacement_m)
@@ -706,7 +712,9 @@ class Session:
             return
         window = self.window
         if window.newest_ns is None or stamp > window.newest_ns:
-            self.node.refuse(topics.ACK.name, f"{name!r} acknowledged {stamp} ns, which was never published")
+            self.node.refuse(
+                topics.ACK.name, f"{name!r} acknowledged a block with stamp {stamp} ns, but none so late was published"
+            )
             return
         if name not in window.readers:
             if not self.readers.knows(name):

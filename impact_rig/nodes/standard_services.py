@@ -115,10 +115,10 @@ class StandardServices:
         elif wanted not in {states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING}:
             tell(
                 codes.RESULT_FEATURE_UNSUPPORTED,
-                f"unknown state {wanted}: must be STOPPED, PLAYING, PAUSED or QUITTING",
+                f"unknown simulation state {wanted}: must be STOPPED, PLAYING, PAUSED or QUITTING",
             )
         elif present == states.STATE_QUITTING:
-            tell(response.INCORRECT_TRANSITION, "the rig is quitting")
+            tell(response.INCORRECT_TRANSITION, "the state cannot change: the rig is quitting")
         elif wanted == states.STATE_QUITTING:
             self._node.quitting = True
             tell(codes.RESULT_OK, "")
@@ -154,7 +154,7 @@ class StandardServices:
         failed = self._messages.Result.RESULT_OPERATION_FAILED
         self._session.running()
         if self._state() != self._messages.SimulationState.STATE_PAUSED:
-            tell(failed, "a step needs the state PAUSED")
+            tell(failed, "a step needs the simulation state PAUSED")
         else:
             self._session.step(request.steps, self._done(tell, failed))
 
@@ -163,7 +163,7 @@ class StandardServices:
         # a bit field, of which every bit must be supported; the default means all
         wanted = scopes.SCOPE_ALL if request.scope == scopes.SCOPE_DEFAULT else request.scope
         if wanted & ~scopes.SCOPE_STATE:
-            reason = f"only the state can be reset (scope {scopes.SCOPE_STATE}): time continues, and nothing is spawned"
+            reason = f"only SCOPE_STATE ({scopes.SCOPE_STATE}) can be reset, as time continues and nothing is spawned"
             tell(codes.RESULT_FEATURE_UNSUPPORTED, reason)
             return
         self._reset_rig(stop=self._state() == self._messages.SimulationState.STATE_STOPPED)

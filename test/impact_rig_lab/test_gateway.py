@@ -78,7 +78,9 @@ def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Pa
         one.start("rig", {"time.start_wait_s": 0.0})
         client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the first rig", PATIENCE_S)
         two.start("rig")
-        client.wait_until(lambda: "to be alone" in client.status("rig").message, "the second to wait", PATIENCE_S)
+        client.wait_until(
+            lambda: "until no other rig" in client.status("rig").message, "the second to wait", PATIENCE_S
+        )
 
         async def stop() -> str:
             gateway = Gateway(client, RigView(), None)

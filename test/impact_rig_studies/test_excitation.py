@@ -134,7 +134,7 @@ def test_random_control_ends_when_the_shaker_trips_and_keeps_what_it_had():
 
 def test_a_reading_beyond_what_is_borne_ends_a_test():
     rig = Hardware(hardware(sphere__present=False).rig, {"base": 1e-5})
-    with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit 1e-05, at scan"):
+    with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit 1e-05 m, at scan"):
         list(control(rig, RandomPlan(averages=4)))
 
 

@@ -316,5 +316,5 @@ def test_the_state_of_an_output_is_current_although_nothing_else_is_called() -> 
 
 def test_hardware_ends_a_test_at_its_limit_whoever_reads() -> None:
     hardware = Hardware(LocalRig(STREAM), {"current": 0.1})
-    with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit 0\.1, at scan"):
+    with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit 0\.1 A, at scan"):
         hardware.respond(WAVE)

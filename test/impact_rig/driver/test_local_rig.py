@@ -225,7 +225,7 @@ def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
         "barriers.gap_m = 0.003",
         "fault: lost_block from sample 500 to sample 600",
         "scans 500 to 599 were not published",
-        "from scan 1000 on: 8.5 Hz, 0.1 A",
+        "drive from scan 1000 on: 8.5 Hz, 0.1 A peak",
     ):
         assert f"    {line}" in report.splitlines()
 

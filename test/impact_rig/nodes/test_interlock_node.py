@@ -119,7 +119,9 @@ def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
         patch.setattr(session.time, "time_ns", lambda: system_ns() + step_s * 10**9)
         client.wait_until(lambda: node._session._resumed_ns, "a call of the timer")
     for name in ("clear_trip", "pluck", "reset"):
-        with pytest.raises(ServiceFailedError, match="it may have been sent before this rig resumed from a suspension"):
+        with pytest.raises(
+            ServiceFailedError, match="the command may have been sent before this rig resumed from a suspension"
+        ):
             client.trigger(f"rig/{name}")
     client.trigger("rig/stop")
     resumed = node._session._resumed_at

@@ -46,7 +46,9 @@ def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> No
     with pytest.raises(ServiceFailedError, match="the rig has not started: waiting for peer"):
         client.trigger("rig/reset")
     client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
-    client.wait_until(lambda: "waiting for peer analysis, at most" in client.status("rig").message, "the recorder")
+    client.wait_until(
+        lambda: "waiting for peer analysis to subscribe, at most" in client.status("rig").message, "the recorder"
+    )
     client.host(AnalysisNode)
     client.wait_active("analysis")
     scans = client.collect("daq/scan")
@@ -85,7 +87,7 @@ def test_a_rig_that_is_not_alone_says_by_whom_and_goes_on(client: Client, topic:
     scans = client.collect("daq/scan", acknowledge=True)
     client.step(3)
     other(client, topic)
-    expected = f"/intruder publishes {topic.name} as well"
+    expected = f"/intruder publishes {topic.name} as well as this rig"
     client.wait_until(lambda: expected in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["error"]
     assert client.figures("rig")["other_publishers"] == expected
@@ -113,7 +115,9 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     )
     second.trigger_configure()
     second.trigger_activate()
-    held_back = "waiting to be alone: another /rig publishes daq/scan"  # the graph names it, a lock is quicker
+    held_back = (
+        "waiting until no other rig is here: another /rig publishes daq/scan"  # the graph names it, a lock is quicker
+    )
     client.wait_until(lambda: held_back in second.health()[1], "the second to hold back")
     assert second.health()[0] == 2
     assert starts(journal) == 1, "not a word of the second in the journal"
@@ -130,7 +134,7 @@ def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(cl
     client.wait_until(lambda: "another rig of this machine" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["error"]
     place.leave()
-    client.wait_until(lambda: client.status("rig").message == "running, lockstep", "the rig to begin")
+    client.wait_until(lambda: client.status("rig").message == "running in time mode lockstep", "the rig to begin")
     assert not place.take()
 
 
@@ -150,8 +154,8 @@ def test_a_clock_can_belong_to_a_namespace(client: Client) -> None:
             lambda name=name, **kwargs: RigNode(**{**kwargs, "namespace": f"/{name}", "cli_args": remapped}),
             parameter_overrides=ros_parameters({"time.mode": "lockstep"}),
         )
-    client.wait_until(lambda: client.status("one/rig").message == "running, lockstep", "the first")
-    client.wait_until(lambda: client.status("two/rig").message == "running, lockstep", "the second")
+    client.wait_until(lambda: client.status("one/rig").message == "running in time mode lockstep", "the first")
+    client.wait_until(lambda: client.status("two/rig").message == "running in time mode lockstep", "the second")
     client.trigger("one/rig/step")
     client.trigger("two/rig/step")
     clocks = [client.node.count_publishers(name) for name in ("/clock", "/one/clock", "/two/clock")]

@@ -213,7 +213,7 @@ def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> No
     assert user.state == PLAYING
     assert user.set(PLAYING) == (SetResponse.ALREADY_IN_TARGET_STATE, "")
     running = user.call("step_simulation", StepRequest(1)).result
-    assert running == Result(Result.RESULT_OPERATION_FAILED, "a step needs the state PAUSED")
+    assert running == Result(Result.RESULT_OPERATION_FAILED, "a step needs the simulation state PAUSED")
 
     assert user.set(PAUSED) == (Result.RESULT_OK, "")
     assert user.state == PAUSED
@@ -252,7 +252,7 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
         refused = user.call("reset_simulation", ResetRequest(scope)).result
         assert refused.result == Result.RESULT_FEATURE_UNSUPPORTED
         assert "time continues" in refused.error_message
-        assert "scope 2" in refused.error_message
+        assert "SCOPE_STATE (2)" in refused.error_message
     for _ in range(3):
         done = user.call("reset_simulation", ResetRequest(ResetRequest.SCOPE_STATE)).result
         assert done == Result(Result.RESULT_OK, "")
@@ -302,7 +302,7 @@ def test_a_rig_that_is_told_to_quit_says_so(user: User) -> None:
     node = host_rig(user.client)
     assert user.set(QUITTING) == (Result.RESULT_OK, "")
     assert user.state == QUITTING
-    assert user.set(PLAYING) == (SetResponse.INCORRECT_TRANSITION, "the rig is quitting")
+    assert user.set(PLAYING) == (SetResponse.INCORRECT_TRANSITION, "the state cannot change: the rig is quitting")
     assert node.quitting
 
 

@@ -159,10 +159,10 @@ def test_a_suspended_rig_and_a_suspended_peer_go_on_without_a_lost_block(process
 
 
 BAD_STARTS = {
-    "a parameter without a value": (["-p", "gap"], None, "cannot start: .*-p gap"),
-    "no such file": (["--params-file", "/nowhere.yaml"], None, "cannot start: .*/nowhere.yaml"),
-    "not YAML": ([], "a: [\n", "cannot start: .*FILE"),
-    "an unknown argument": (["--nonsense"], None, "cannot start: .*--nonsense"),
+    "a parameter without a value": (["-p", "gap"], None, "cannot start the node: .*-p gap"),
+    "no such file": (["--params-file", "/nowhere.yaml"], None, "cannot start the node: .*/nowhere.yaml"),
+    "not YAML": ([], "a: [\n", "cannot start the node: .*FILE"),
+    "an unknown argument": (["--nonsense"], None, "cannot start the node: .*--nonsense"),
 }
 
 

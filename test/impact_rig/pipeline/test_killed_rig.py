@@ -56,7 +56,7 @@ def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
 def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Client, Processes]) -> None:
     client, processes = driven
     began = time.monotonic()
-    with pytest.raises(RigGoneError, match=r"current = 0\.5: the rig that received it is gone"):
+    with pytest.raises(RigGoneError, match=r"shaker/current = 0\.5: the rig it was sent to is gone"):
         client.command(current_a=0.5)
     assert 2.0 <= time.monotonic() - began < 2.0 + 2.0 * AT_ONCE_S
     began = time.monotonic()
@@ -111,7 +111,7 @@ def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path:
             client.wait_until(pluck.done, "the answer")
             assert not pluck.result().success
             assert re.fullmatch(
-                r"it was sent [2-9]\.\d s before this rig resumed from a suspension: send it again",
+                r"the command was sent [2-9]\.\d s before this rig resumed from a suspension: send it again",
                 pluck.result().message,
             )
             found = client.wait_until(

@@ -150,7 +150,7 @@ def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--rate", "max"), "needs peers"),
+        (("--rate", "max"), "would lose messages"),
         (("--rate", "max", "--peers", "analysis", "--topics", "laser"), "include it in the chosen topics"),
         (("--topics", "nothing/here"), "no topic 'nothing/here'"),
         (("--rate", "-1"), "must be max or a number"),

@@ -145,7 +145,7 @@ def host_analysis(client: Client) -> AnalysisNode:
 
 def test_an_analysis_says_what_it_can_measure(client: Client) -> None:
     host_analysis(client)
-    wait_for(client, "analysis", "no_scans", "none received yet")
+    wait_for(client, "analysis", "no_scans", "no scans received yet")
     host_rig(client, time__peers=["analysis"], step__blocks=100)
     client.wait_active("rig", "analysis")
     client.step()
@@ -165,7 +165,7 @@ def test_an_analysis_says_what_it_can_measure(client: Client) -> None:
     for _ in range(12):
         client.step()
     wait_for(client, "analysis", "measuring")
-    wait_for(client, "analysis", "no_scans", "none for 2 s")
+    wait_for(client, "analysis", "no_scans", "no scans received for 2 s")
     client.change_state("analysis", "deactivate")
     wait_for(client, "analysis", "inactive", "inactive")
 

@@ -64,20 +64,20 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
     console = Console(client)
     node = host_rig(client, drive__frequency_hz=8.0, instruments__faults__planned=[FAULT], daq__seed=7)
     console.wait(LoggingSeverity.INFO, "configured")
-    console.wait(LoggingSeverity.INFO, "running: lockstep, 10000 scans/s, gap 6 mm, law flores, seed 7")
+    console.wait(LoggingSeverity.INFO, "running: lockstep, 10000 scans/s, gap 6 mm, contact law flores, seed 7")
     node.get_logger().set_level(LoggingSeverity.DEBUG)
     client.command(current_a=8.0)
     console.wait(LoggingSeverity.DEBUG, "accepted: amplitude = 8")
     client.step(20)
-    console.wait(LoggingSeverity.WARN, "fault 1 acts: saturation/laser")
+    console.wait(LoggingSeverity.WARN, "instrument fault 1 has started: saturation/laser")
     client.step(20)
-    console.wait(LoggingSeverity.INFO, "fault 1 has ended: saturation/laser")
+    console.wait(LoggingSeverity.INFO, "instrument fault 1 has ended: saturation/laser")
     client.step(200)
     console.wait(LoggingSeverity.WARN, "tripped: shaker latched by over_travel")
     client.trigger("rig/clear_trip")
     console.wait(LoggingSeverity.INFO, "latch released")
     client.trigger("rig/reset")
-    console.wait(LoggingSeverity.INFO, "reset: scan 0")
+    console.wait(LoggingSeverity.INFO, "reset: the rig starts again at scan 0")
     assert client.change_state("rig", "deactivate")
     console.wait(LoggingSeverity.INFO, "deactivated")
     node.close()
@@ -90,9 +90,9 @@ def test_a_peer_that_falls_silent_is_named_once_and_welcomed_back(client: Client
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
-    console.wait(LoggingSeverity.WARN, "peer client is silent: it owes acknowledgements of daq/scan")
+    console.wait(LoggingSeverity.WARN, "peer client is silent: it does not acknowledge blocks of daq/scan")
     client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
-    console.wait(LoggingSeverity.INFO, "peer client is back")
+    console.wait(LoggingSeverity.INFO, "peer client acknowledges daq/scan again")
 
 
 def test_diagnostics_are_named_by_node_and_component_with_a_device_per_rig() -> None:
@@ -131,8 +131,11 @@ def test_a_rig_that_is_started_with_somebodys_clock_refuses_to_begin(client: Cli
 @pytest.mark.parametrize(
     ("values", "line"),
     [
-        ({}, "realtime x 1, 10000 scans/s, gap 6 mm, law flores, seed 1"),
-        ({"time.factor": 0.5, "contact.law": "hertz"}, "realtime x 0.5, 10000 scans/s, gap 6 mm, law hertz, seed 1"),
+        ({}, "realtime x 1, 10000 scans/s, gap 6 mm, contact law flores, seed 1"),
+        (
+            {"time.factor": 0.5, "contact.law": "hertz"},
+            "realtime x 0.5, 10000 scans/s, gap 6 mm, contact law hertz, seed 1",
+        ),
         (
             {"time.mode": "free_running", "time.peers": ["a"], "sphere.present": False},
             "free_running, 10000 scans/s, no sphere, seed 1",
