@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Commands of the studies."""
+"""Commands of `impact-rig` for studies: `demo`, `campaign`, `report`, `import`, `drive`, `map` and others."""

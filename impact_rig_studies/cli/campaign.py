@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig campaign` and `report`: measurement, resumption and judgement of a campaign file, and its report."""
+"""Commands `impact-rig campaign` and `report`: measurement and judgement of a campaign file, and the report of it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ SHOWN = 20  # largest number of failing points that are printed; the CSV contain
 
 
 def run_campaign(arguments: argparse.Namespace) -> int:
-    """Run `campaign`."""
+    """Run the command `campaign`, and return its exit code.
+
+    With `--check` the code is 1 if a point failed, a statement failed, or the reductions are too far from the paper.
+    """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
@@ -85,7 +88,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return the printed results as data: `summary.json`, and the rest of the CSV."""
+    """Return the printed results as data for JSON: `summary.json`, the verdicts, and the failed points."""
     return {
         **json.loads((done.directory / FILE_NAME).read_text(encoding="utf-8")),
         "verdicts": [
@@ -123,7 +126,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the table of reductions; return whether the measured ones are close to the paper."""
+    """Print the reductions next to the paper's, if any was measured; return whether all are within the limits."""
     reductions = done.reductions()
     if not reductions.percent():
         return True
@@ -144,7 +147,8 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     largest, rms = reductions.max_abs_error(), reductions.rms_error()
     close = largest <= paper.POINTS_LIMIT and rms <= paper.RMS_LIMIT
     console.print(
-        f"largest difference {largest:.2f} points (limit {paper.POINTS_LIMIT}), rms {rms:.2f} (limit {paper.RMS_LIMIT})"
+        f"difference from the paper: largest {largest:.2f} points (limit {paper.POINTS_LIMIT}), rms {rms:.2f} (limit "
+        f"{paper.RMS_LIMIT})"
     )
     return close
 
@@ -180,7 +184,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
 
 
 def _print_quiet(console: Console, done: run.Finished) -> None:
-    """Print how many points have no impacts despite a sphere, and what remains open."""
+    """Print how many points have a sphere but no impacts, and how slow a sphere this does not exclude."""
     notes = [point.note for point in done.points if point.settled and point.note]
     if notes:
         console.print(f"{len(notes)} of {len(done.points)} points: the sphere did not strike ({notes[0]})")
@@ -201,7 +205,7 @@ def _print_failed(console: Console, done: run.Finished) -> None:
 
 
 def run_report(arguments: argparse.Namespace) -> int:
-    """Run `report`."""
+    """Run the command `report`: write the page, print its path, and return the exit code, 0."""
     from impact_rig_studies.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
     path = build_report(

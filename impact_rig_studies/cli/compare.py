@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig compare`: a measurement and the model side by side."""
+"""Command `impact-rig compare`: a measured run, and the model with the same drive, side by side."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
-    """Run `compare`."""
+    """Run the command `compare`, and return its exit code, 0."""
     from impact_rig.rig.config import load_config  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 
@@ -108,9 +108,12 @@ def _print(console: Console, found: Comparison) -> None:
     motion, residual = (float(np.std(one)) for one in (found.excerpt.rows["laser"], found.residual))
     if motion > 0.0:
         share = f"{100.0 * residual / motion:.3g} % of the structure's motion"
-        console.print(f"{found.excerpt}: rms of measured less model {share}")
+        console.print(f"{found.excerpt}: rms of the measured motion minus the model's: {share}")
     else:
-        console.print(f"{found.excerpt}: the structure did not move, rms of measured less model {residual:.3g} m")
+        console.print(
+            f"{found.excerpt}: the structure did not move; rms of the measured motion minus the model's: "
+            f"{residual:.3g} m"
+        )
     if found.constants is not None:
         print_identified(console, found.constants)
     elif found.missing:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig demo`: measurement of the paper's five reductions by three node processes, through their topics."""
+"""Command `impact-rig demo`: measurement of the paper's five reductions by three ROS processes over their topics."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ from impact_rig_studies.operate.stepped_sine import SteppedSine
 from impact_rig_studies.report.dt import draw_reductions
 
 MEASUREMENTS = 2
-"""Settled measurements per case; each takes 5 s of rig time, or 21 s if the response is not periodic."""
+"""Number of settled measurements per gap; each takes 5 s of rig time, or 21 s if the response is not periodic."""
 LINEAR_LIMIT = 0.02
 
 
@@ -61,7 +61,11 @@ RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in 
 
 
 def run_demo(arguments: argparse.Namespace) -> int:
-    """Run the demo and return the exit code: 0 if every reduction is within 3 points of the paper."""
+    """Run the demo and return the exit code: 0 if all its checks hold.
+
+    They are: every reduction within 3 points of the paper and growing with the gap, DT without sphere as in theory, and
+    no block lost.
+    """
     console = Console(quiet=arguments.json)
     directory = _new_directory(arguments.output)
     config = from_flat(
@@ -108,7 +112,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console.print(f"{simulated_s:.0f} s of rig time in {wall_s:.0f} s, {lost} blocks lost.")
     failed = [name for name, statement in statements.items() if not statement.passed]
     if failed:
-        console.print(f"not as expected: {', '.join(failed)}", style="red")
+        console.print(f"these checks failed: {', '.join(failed)}", style="red")
     console.print(f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(RUNS.values())}")
     summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
     tell_results(directory, {"runs": list(RUNS.values()), **summary}, as_json=arguments.json)
@@ -116,7 +120,11 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
-    """Return the settled measurements by gap; every case is recorded in a directory of its name."""
+    """Return the settled measurements by gap [m]; each gap is recorded as a run in `directory`, named as in `RUNS`.
+
+    Raises:
+        ImpactRigError: a gap could not be measured.
+    """
     from impact_rig_studies.ros_campaign import ros_runner  # noqa: PLC0415  # needs rclpy
 
     rows: dict[float, NDArray[np.void]] = {}
@@ -142,7 +150,7 @@ def _job(config: RigConfig, gap_m: float) -> Job:
 
 
 class Screen:
-    """Progress of the demo, one line per case: a bar on a terminal, otherwise a line for every change."""
+    """Progress display of the demo: one bar per gap on a terminal, otherwise a line of text for every change."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)
@@ -162,7 +170,7 @@ class Screen:
         self._progress.stop()
 
     def show(self, job: Job, sweep: SteppedSine | None) -> None:
-        """Show the progress of a job."""
+        """Show the progress of the measurement of one gap; `sweep` is None while its rig is being prepared."""
         if sweep is None:
             self._progress.update(self._starting, total=1, completed=1, state="running")
             label = case_of(job.gap_m)
@@ -178,7 +186,7 @@ class Screen:
             self._lines[job.gap_m].show(len(rows), state)
 
     def done(self) -> None:
-        """Show that everything is measured."""
+        """Show that all gaps are measured."""
         self._progress.update(self._starting, state="done")
 
 

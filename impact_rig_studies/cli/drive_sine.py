@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of `impact-rig drive` with a sine: sweep, hold, lock and backbone."""
+"""Tests of the command `impact-rig drive` with a sine: sweep, hold, lock and backbone."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ SHOWN = 12  # largest number of samples of a lock that are printed; the CSV cont
 
 @contextlib.contextmanager
 def _results(arguments: argparse.Namespace) -> Iterator[Path]:
-    """Create the directory of the results before the measurement, and yield it."""
+    """Create the directory of a test's results before the measurement, so that an error costs no time, and yield it."""
     directory = run_directory(arguments.output, arguments.test)
 
     def prepare() -> Path:
@@ -81,7 +81,7 @@ def _job(arguments: argparse.Namespace) -> Job:
 
 
 def run_hold(arguments: argparse.Namespace) -> int:
-    """Run the test `hold`."""
+    """Run the test `drive hold`, and return the exit code: 1 if a frequency is missing or an amplitude was not held."""
     unit = HELD_UNITS[arguments.what]
     try:
         target = positive(unit).number(arguments.target)
@@ -93,13 +93,16 @@ def run_hold(arguments: argparse.Namespace) -> int:
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
-    """Run the test `sweep`."""
+    """Run the test `drive sweep`, and return the exit code: 1 if a frequency was not measured."""
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
 
 
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
-    """Measure a curve over the frequency, write and print it; return 1 unless it is complete."""
+    """Run a sweep over the frequency, write and print its curve, and return the exit code.
+
+    The code is 1 if a frequency was not measured, or an amplitude to be held was not.
+    """
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:
         with _open(arguments.through, job.config(), job.labelled_settings()) as rig:
@@ -142,7 +145,7 @@ def _texts(row: np.void) -> list[object]:
 
 
 def run_lock(arguments: argparse.Namespace) -> int:
-    """Run the test `lock`."""
+    """Run the test `drive lock`, and return the exit code: 1 if the resonance was not locked long enough for a mean."""
     config, _ = rig_of(arguments)
     plan = LockPlan(
         start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
@@ -177,7 +180,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
     slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
     sentence = (
         f"locked after {locked_s:.1f} s; {found.frequency_hz:.5f} ± "
-        f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift a minute: "
+        f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift per minute: "
         f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
     )
     _tell(arguments, directory, table, sentence, content)
@@ -185,7 +188,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
 
 
 def run_backbone(arguments: argparse.Namespace) -> int:
-    """Run the test `backbone`."""
+    """Run the test `drive backbone`, and return the exit code: 1 if it ended early."""
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
@@ -212,7 +215,10 @@ def run_backbone(arguments: argparse.Namespace) -> int:
 
 
 def _open(way: str, config: RigConfig, analysis: Mapping[str, Any] | None = None) -> RigDriver:
-    """Return a rig in this process or, in lockstep, behind topics."""
+    """Return a new rig: in this process if `way` is `process`, else as ROS nodes in lockstep.
+
+    `analysis` are the parameters of its analysis; None means no analysis.
+    """
     if way == "process":
         return LocalRig(config, analysis=analysis)
     from impact_rig.driver.ros_rig import RosRig  # noqa: PLC0415  # needs rclpy
@@ -223,7 +229,7 @@ def _open(way: str, config: RigConfig, analysis: Mapping[str, Any] | None = None
 def _write(
     directory: Path, test: str, names: Sequence[str], rows: Iterable[Sequence[object]], content: Mapping[str, object]
 ) -> None:
-    """Write the results: the rows as CSV, everything as JSON."""
+    """Write the results of a test: the rows with the columns `names` as CSV, `content` as JSON."""
     files.write_csv(directory / f"{test}.csv", names, rows)
     files.write_text(directory / f"{test}.json", json.dumps(files.plain(content), indent=2) + "\n")
 
@@ -231,7 +237,7 @@ def _write(
 def _tell(
     arguments: argparse.Namespace, directory: Path, table: TextTable, sentence: str, content: Mapping[str, object]
 ) -> None:
-    """Print the results, and their directory as the last line."""
+    """Print the results of a test (table and sentence, or JSON), and their directory as the last line."""
     console = Console(quiet=arguments.json)
     console.print(table)
     if sentence:

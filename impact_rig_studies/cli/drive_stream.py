@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tests of `impact-rig drive` that send samples to a rig: play, frf, random, replicate and shock."""
+"""Tests of the command `impact-rig drive` that send samples to a rig: play, frf, random, replicate and shock."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig an
 
 
 def run_play(arguments: argparse.Namespace) -> int:
-    """Run the test `play`."""
+    """Run the test `drive play`, and return the exit code: 1 if it ended early."""
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -58,11 +58,11 @@ def run_play(arguments: argparse.Namespace) -> int:
 
 def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -> None:
     if not samples.any():
-        raise ConfigError(f"{arguments.file}: the signal is zero throughout, so no error relative to it exists")
+        raise ConfigError(f"{arguments.file}: the signal is zero throughout, so there is nothing to play or to follow")
 
 
 def run_frf(arguments: argparse.Namespace) -> int:
-    """Run the test `frf`."""
+    """Run the test `drive frf`, and return the exit code: 1 if it ended early or the response is only noise."""
     from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
     from impact_rig_studies.excitation.response import measure  # noqa: PLC0415
     from impact_rig_studies.excitation.signals import Excitation  # noqa: PLC0415
@@ -77,14 +77,14 @@ def run_frf(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
-    """Return the plan in the given file, or else the default plan of its kind."""
+    """Return the settings of a test, of the class `kind`: those in the file `arguments.plan`, or else the defaults."""
     from impact_rig_studies.excitation.files import load as load_plan  # noqa: PLC0415  # scipy
 
     return load_plan(arguments.plan, kind) if arguments.plan else kind()
 
 
 def run_random(arguments: argparse.Namespace) -> int:
-    """Run the test `random`."""
+    """Run the test `drive random`, and return the exit code: 1 if it ended early or has no result."""
     from impact_rig_studies.excitation.random import RandomPlan, control  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, RandomPlan)
@@ -93,7 +93,7 @@ def run_random(arguments: argparse.Namespace) -> int:
 
 
 def run_replicate(arguments: argparse.Namespace) -> int:
-    """Run the test `replicate`."""
+    """Run the test `drive replicate`, and return the exit code: 1 if it ended early or has no result."""
     from impact_rig_studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, ReplicatePlan)
@@ -104,7 +104,7 @@ def run_replicate(arguments: argparse.Namespace) -> int:
 
 
 def run_shock(arguments: argparse.Namespace) -> int:
-    """Run the test `shock`."""
+    """Run the test `drive shock`, and return the exit code: 1 if it ended early or has no result."""
     from impact_rig_studies.excitation.shock import Pulse, shock  # noqa: PLC0415  # scipy
 
     pulse = _plan(arguments, Pulse)
@@ -122,7 +122,15 @@ def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) 
 
 
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
-    """Drive a rig and write its run with the results, however it ends; `of` is the end of the work, for progress."""
+    """Drive a rig, write its run and the results however the test ends, print them, and return the exit code.
+
+    Args:
+        arguments: parsed arguments of the test.
+        title: title of the results.
+        unit: unit of the response.
+        work: function that drives the rig, and yields its latest results.
+        of: text after a line of progress, such as ` of 20`.
+    """
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
     stream = {
@@ -152,7 +160,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
             writing.enter_context(defer_signals())
             hardware.output.stop()
         if found is None:
-            raise interrupted or ImpactRigError(f"{early}; the run so far: {directory}")
+            raise interrupted or ImpactRigError(f"{early}; the recording so far is in {directory}")
         summary = tell(found, unit)
         figures = {
             "title": title, "unit": unit, "rate_hz": arguments.scan_rate, "ended_early": early, **summary.figures,

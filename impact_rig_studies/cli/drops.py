@@ -26,7 +26,10 @@ from impact_rig.recording import Run
 
 
 def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `drop`."""
+    """Print the drops of an open run and their coefficient of restitution; return the exit code.
+
+    The code is 1 if there are too few drops for an uncertainty.
+    """
     from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig_studies.drops import drops_of  # noqa: PLC0415  # as above
 
@@ -46,7 +49,13 @@ def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         console, run, arguments, "drop", lambda: restitution_by_drop(each, found.restitution, found.u_restitution)
     )
     if not math.isfinite(found.u_restitution):
-        console.print(f"no uncertainty of e from {found.drops} drops: more drops are needed", style="red")
+        console.print(
+            f"{found.drops} drops give no uncertainty of the coefficient of restitution e: more drops are needed",
+            style="red",
+        )
         return 1
-    console.print(f"e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from {found.drops} drops")
+    console.print(
+        f"coefficient of restitution e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from "
+        f"{found.drops} drops"
+    )
     return 0

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig identify`: constants of the rig from measured runs, or from the paper's numbers."""
+"""Command `impact-rig identify`: constants of the rig from measured runs, or from the paper's numbers."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
 def run_identify(arguments: argparse.Namespace) -> int:
-    """Run `identify`."""
+    """Run the command `identify`, and return its exit code, 0."""
     console = Console(quiet=arguments.json)
     if arguments.paper:
         base = load_config(arguments.config) if arguments.config else RigConfig()
@@ -83,7 +83,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
     found = identify(measured, base, start, lambda what: console.print(f"{what} ..."))
     print_identified(console, found)
     if not found.consistent:
-        console.print(f"no {CONFIGURATION_FILE} is written", style="red")
+        console.print(f"no {CONFIGURATION_FILE} is written, because the constants do not explain the data", style="red")
     content = identified_content(found)
     text = json.dumps(content, indent=2, ensure_ascii=False)
     files.write_text(arguments.directory / JSON_FILE, f"{text}\n")
@@ -97,7 +97,11 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
-    """Collect the available data, and print them."""
+    """Return the available data for a fit (free decay, stepped sine, reductions) without those left out; print them.
+
+    Raises:
+        ImpactRigError: the free decay cannot be measured.
+    """
     base, curves = done.campaign.base, done.curves
     gains = Gains.of(done.info)
     decay = sine = reduced = None
@@ -133,7 +137,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
 
 
 def print_identified(console: Console, found: Identified) -> None:
-    """Print the constants, unused data, and whether data and model agree."""
+    """Print the identified constants with their uncertainties, and whether data and model agree."""
     table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
@@ -144,19 +148,26 @@ def print_identified(console: Console, found: Identified) -> None:
         table.add_row("e", f"{found.restitution:.5g}", figure(2 * found.u_restitution, ".2g"), "-", "nominal")
     console.print(table)
     for gap, u in found.irregular.items():
-        console.print(f"at {gap * 1e3:g} mm the fitted motion does not repeat: its mean is used, u {100 * u:.2g} %")
+        console.print(
+            f"at a gap of {gap * 1e3:g} mm the motion of the fitted rig is not periodic: its mean DT is used, with a "
+            f"relative standard uncertainty of {100 * u:.2g} %"
+        )
     _print_alternatives(console, found)
     console.print(
-        f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom: by chance as bad or worse in "
+        f"χ² {found.chi_square:.1f} for {found.freedom} degrees of freedom: a fit as bad or worse occurs by chance in "
         f"{100 * found.chance:.1f} % of cases"
     )
     if not found.consistent:
         where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
-        why = f"at {where} the motion was measured to be periodic, and the fitted rig's is not" if where else "χ²"
+        why = (
+            f"at a gap of {where} the measured motion is periodic, and that of the fitted rig is not"
+            if where
+            else "χ² is too large"
+        )
         why = why if found.converged else "the fit has not converged"
         console.print(
-            f"WARNING: data and model do not go together ({why}): the uncertainties above do not hold. Something taken "
-            "as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
+            f"WARNING: the model does not explain the data ({why}), so the uncertainties above are invalid. Something "
+            "taken as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "
             "certificate",
             style="red",
         )
@@ -199,8 +210,8 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
     reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
     rest = "" if fit.converged else "; the fit has not converged, along a valley without a minimum"
     console.print(
-        f"reductions of the fit {reductions} %, rms {fit.rms_points:.2f} points; of the configuration "
-        f"{fit.default_rms_points:.2f}{rest}"
+        f"reductions of the fit {reductions} %; rms difference from the paper {fit.rms_points:.2f} points, of the "
+        f"configuration {fit.default_rms_points:.2f}{rest}"
     )
     if "I" in fit.fitted:
         _print_combinations(console, fit.information)
@@ -218,7 +229,7 @@ def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
 
 
 def identified_content(found: Identified) -> dict[str, object]:
-    """Return the constants as data."""
+    """Return the identified constants, their combinations and alternatives as data for JSON."""
     information = found.information
     return {
         "constants": {

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig import`: measurements of other rigs as runs, or as one campaign."""
+"""Command `impact-rig import`: conversion of measurements of other rigs to runs, or to one campaign."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Run `import`."""
+    """Run the command `import`, and return its exit code, 0; errors are raised, and then nothing is written."""
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.conversion import convert  # noqa: PLC0415  # as above
@@ -78,7 +78,7 @@ def run_import(arguments: argparse.Namespace) -> int:
             done, left_out = make_campaign([folder / part for part in parts], folder, arguments.config)
             for point in left_out:
                 console.print(f"left out of the campaign: {point}", style="yellow")
-            console.print(f"{len(done.points)} points")
+            console.print(f"campaign of {len(done.points)} points")
     if arguments.json:
         tell_json({
             "runs": [str(one) for one in directories], "files": shown, "left_out": left_out,
@@ -91,13 +91,13 @@ def run_import(arguments: argparse.Namespace) -> int:
         if missing:
             console.print(f"no DT: {missing[0]} is not assigned (--channel {missing[0]}=SIGNAL)", style="yellow")
         elif not arguments.campaign:
-            console.print(f"DT with its uncertainty: impact-rig analyze {directories[-1]}")
+            console.print(f"for DT with its uncertainty: impact-rig analyze {directories[-1]}")
         tell_program(arguments.output.resolve())
     return 0
 
 
 def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
-    """Return the guessed mapping, refined by the YAML file and then by the options."""
+    """Return the guessed mapping of a file's signals to channels, changed by the YAML file and then by the options."""
     from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, UNITS, refined  # noqa: PLC0415  # as above
 
@@ -123,7 +123,7 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
 
 
 def _print_source(console: Console, source: ImportedSignals) -> None:
-    """Print the signals of a file, before they are assigned to channels."""
+    """Print the signals of a file without channels, for a dry run in which the assignment failed."""
     table = TextTable(
         f"{source.path}: {source.format}", left=("signal", "unit", "kind", "given over"), right=("values",)
     )
@@ -139,7 +139,7 @@ def _print_left_out(console: Console, source: ImportedSignals) -> None:
 
 
 def _print(console: Console, found: ImportedRun) -> None:
-    """Print the channels of a file, the assumptions, and what was left out."""
+    """Print how a file is imported: signals and channels, assumptions, omitted parts, scans, drive and labels."""
     from impact_rig.analysis.settings import parse_label  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import reason_unused  # noqa: PLC0415  # as above
 
@@ -174,7 +174,7 @@ def _print(console: Console, found: ImportedRun) -> None:
     unit = "A" if "current" in found.mapping.channels else "(A of current, or m of base)"
     for instant, frequency, amplitude in found.drive[:10]:
         since = (instant - found.start_ns) / 1e9
-        console.print(f"from {since:.6g} s: {frequency:.6g} Hz, amplitude {amplitude:.4g} {unit}")
+        console.print(f"drive from {since:.6g} s on: {frequency:.6g} Hz, amplitude {amplitude:.4g} {unit}")
     if len(found.drive) > 10:
         console.print(f"... and {len(found.drive) - 10} further settings of the drive")
     labels = [label for label in map(parse_label, found.labels) if label]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig map` and `dynamics`: studies on the mechanics alone, place by place, which can be resumed."""
+"""Commands `impact-rig map` and `dynamics`: studies of the mechanics without instruments, which can be resumed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ EXPONENTS = "exponents"  # folder of the exponents in a map's directory
 
 
 def run_map(arguments: argparse.Namespace) -> int:
-    """Run `map`."""
+    """Run the command `map`, and return its exit code: 1 if no point of the map could be resolved."""
     file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
@@ -81,9 +81,10 @@ def run_map(arguments: argparse.Namespace) -> int:
 
 
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
-    """Add exponent and standard uncertainty to the regimes; return the number of points.
+    """Add the largest Lyapunov exponents, with their standard uncertainties, to the values of a finished map.
 
-    Without a runner, only stored exponents are added.
+    Only motions that are not periodic have one. `runner` computes missing exponents; None means that only stored ones
+    are added. The result is the number of points with an exponent.
     """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
@@ -111,18 +112,20 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
 def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     reading = best.reading
     console.print(
-        f"best {best.over}: {best.value:.6g}, reduction {reading.reduction_percent:.2f} % (DT {reading.dt:.2f}, "
-        f"{reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); within "
-        f"{optimum.REGION_POINTS:g} point from {best.region[0]:.6g} to {best.region[1]:.6g}"
+        f"largest reduction of DT at {best.over} {best.value:.6g}: {reading.reduction_percent:.2f} % "
+        f"(DT {reading.dt:.2f}, {reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); from "
+        f"{best.region[0]:.6g} to {best.region[1]:.6g} it is at most {optimum.REGION_POINTS:g} point smaller"
     )
-    table = TextTable("Change of the reduction there for 1 % more of a value", left=("value",), right=("points",))
+    table = TextTable(
+        "Change of this reduction if a value of the configuration is 1 % larger", left=("value",), right=("points",)
+    )
     for name, points in best.points_per_percent.items():
         table.add_row(name, figure(round(points, 3) + 0.0, "+.3f"))
     console.print(table)
 
 
 def run_dynamics(arguments: argparse.Namespace) -> int:
-    """Run `dynamics`."""
+    """Run the command `dynamics`, and return its exit code: 1 if no row of the result could be resolved."""
     kind = arguments.kind
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
     runner = tasks.runner(plans.run, address, arguments.workers)
@@ -153,7 +156,7 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
 
 
 def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
-    """Return some columns of rows by name, with None for values that are not numbers."""
+    """Return some columns of a study's rows as one mapping per row, with None for values that are not finite."""
     return [
         {
             name: None if isinstance(cell, float) and not math.isfinite(cell) else cell
@@ -165,7 +168,7 @@ def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str
 
 
 def _printed(plan: Plan, rows: list[Row]) -> list[Row]:
-    """Return the rows to print: along a branch only the special ones."""
+    """Return the rows of a study to print: all, but of a continued branch only those with an event, such as a fold."""
     if plan.kind != plans.CONTINUE:
         return rows
     event = plan.columns.index("event")
@@ -173,12 +176,12 @@ def _printed(plan: Plan, rows: list[Row]) -> list[Row]:
 
 
 def _unsolved(plan: Plan, rows: list[Row]) -> int:
-    """Return how many rows could not be resolved."""
+    """Return the number of rows whose motion could not be resolved."""
     return sum(row[plan.columns.index("regime")] == FAILED for row in rows) if "regime" in plan.columns else 0
 
 
 def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
-    """Return the figures as data."""
+    """Return the key figures of a study as data for JSON: shares of a basin, failures, or the printed rows."""
     if plan.kind == plans.BASIN:
         from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
 
@@ -201,7 +204,7 @@ def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
     summary = _summary(plan, rows)
     for name, share in summary.get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
         u = summary["shares_uncertainty"][name]  # type: ignore[index]  # likewise
-        console.print(f"{100.0 * share:.2f} ± {200.0 * u:.2f} % lead to: {name}")
+        console.print(f"{100.0 * share:.2f} ± {200.0 * u:.2f} % (2u) of the initial states lead to: {name}")
     if "failed_rows" in summary:
         console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
     if plan.kind not in SHOWN:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Parsers of the commands of this package; the module of a command is imported when the command runs."""
+"""Options of the commands for studies; the module that executes a command is imported only when the command runs."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan, SweepPlan
 
 
 def add_demo(commands: Commands) -> None:
-    """Register `demo`."""
+    """Register the command `impact-rig demo` with its options."""
     parser = subcommand(
         commands, "demo", "impact_rig_studies.cli.demo:run_demo",
-        "measure the paper's five reductions through the topics",
+        "measure the paper's five reductions of DT with a rig, an analysis and a recorder as ROS processes",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
@@ -65,7 +65,7 @@ def add_demo(commands: Commands) -> None:
 
 
 def add_compare(commands: Commands) -> None:
-    """Register `compare`."""
+    """Register the command `impact-rig compare` with its options."""
     parser = subcommand(
         commands, "compare", "impact_rig_studies.cli.compare:run_compare",
         "compare a measurement with the model, and fit the model's constants",
@@ -77,12 +77,19 @@ def add_compare(commands: Commands) -> None:
     )  # fmt: skip
     add_json(parser)
     add_run(parser)
-    parser.add_argument("--config", type=Path, metavar="FILE", help="model's configuration (default: that of the run)")
     parser.add_argument(
-        "--drive", choices=("current", "base"), help="drive of the model (default: current if it was measured)"
+        "--config", type=Path, metavar="FILE",
+        help="configuration of the model (default: that in the run, else the paper's rig)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--drive", choices=("current", "base"),
+        help="measured quantity that drives the model: coil current, or motion of the inferior base (default: current "
+        "if it was measured)",
+    )  # fmt: skip
+    add_figures(parser, "directory for a figure of model and measurement (default: no figure)")
+    parser.add_argument(
+        "--no-fit", action="store_true", help="skip the search for the model's constants that fit the measurement best"
     )
-    add_figures(parser, "also draw model and measurement")
-    parser.add_argument("--no-fit", action="store_true", help="skip the search for better constants")
 
 
 FREQUENCY = Quantity(FieldInfo("Frequency of the drive.", "Hz", low=0.0), names=True)
@@ -90,7 +97,7 @@ GAP_LABEL = attrs.evolve(GAP, names=True)
 
 
 def add_import(commands: Commands) -> None:
-    """Register `import`."""
+    """Register the command `impact-rig import` with its options."""
     parser = subcommand(
         commands, "import", "impact_rig_studies.cli.measurement:run_import",
         "import a measurement of your own rig as a run, or several as a campaign",
@@ -108,21 +115,32 @@ def add_import(commands: Commands) -> None:
         "the structure), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file of a measurement")
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="directory of the run, or of the campaign"
+        "files", nargs="+", type=Path, metavar="FILE", help="file with a measurement, in one of the formats below"
     )
-    parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
-    parser.add_argument("--mapping", type=Path, metavar="YAML", help="YAML file with channels, units and calibration")
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR", help="new directory for the run, or for the campaign"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
+    )
+    parser.add_argument(
+        "--mapping", type=Path, metavar="YAML",
+        help="YAML file that assigns the signals to channels, with units and calibration",
+    )  # fmt: skip
     parser.add_argument(
         "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
-        help="signal of a channel, with unit and sensitivity if the file has none: laser=ai0, laser='ai0 mm', "
-        "laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), current",
+        help="signal of the file to use as a channel, with unit and sensitivity if the file has none: laser=ai0, "
+        "laser='ai0 mm', laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), "
+        "current",
     )  # fmt: skip
-    parser.add_argument("--scan-rate", type=float, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument(
-        "--resample", type=int, metavar="HZ", help="rate for resampling scans that are not uniform in time"
+        "--scan-rate", type=float, metavar="HZ", help="scans per second (default: by the rate or times in the file)"
     )
+    parser.add_argument(
+        "--resample", type=int, metavar="HZ",
+        help="scans per second for the interpolation of signals that are not uniform in time (default: none)",
+    )  # fmt: skip
     parser.add_argument(
         "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
         help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
@@ -131,15 +149,21 @@ def add_import(commands: Commands) -> None:
         "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
         help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
     )  # fmt: skip
-    parser.add_argument("--commands", type=Path, metavar="FILE", help="table of the commands: time, frequency, current")
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="table with columns of daq/info, one row per channel"
+        "--commands", type=Path, metavar="FILE", help="table of the drive commands: time, frequency, current"
     )
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE",
+        help="table of the instruments' calibration: columns of daq/info, one row per channel",
+    )  # fmt: skip
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
-    parser.add_argument("--campaign", action="store_true", help="make one campaign, for report and identify")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="rig configuration, with --campaign (default: the paper's rig)"
+        "--campaign", action="store_true", help="combine the runs into one campaign, for report and identify"
     )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE",
+        help="configuration with known properties of the rig, with --campaign (default: the paper's rig)",
+    )  # fmt: skip
 
 
 def add_drive(commands: Commands) -> None:
@@ -165,7 +189,7 @@ def add_drive(commands: Commands) -> None:
 
 
 RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
-PLAN = "settings of the test, e.g. config/excitation/{}.yaml"
+PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: built-in settings)"
 EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
 """Option of `frf` -> setting of its excitation."""
 
@@ -174,7 +198,7 @@ SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
 
 
 def _add_play(tests: Commands) -> None:
-    """Register `play`."""
+    """Register the test `impact-rig drive play` with its options."""
     parser = subcommand(
         tests, "play", "impact_rig_studies.cli.drive_stream:run_play",
         "drive the rig with a signal of a file or of a run",
@@ -183,17 +207,22 @@ def _add_play(tests: Commands) -> None:
             ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
         ],
     )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="signal: a file as of import, or a run")
-    _add_signal(parser)
-    parser.add_argument("--seconds", type=positive("s"), metavar="S", help="longest rig time (default: all of it)")
     parser.add_argument(
-        "--clip", type=positive("A"), metavar="A", help="largest sample (default: a larger one ends the test)"
+        "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
     )
+    _add_signal(parser)
+    parser.add_argument(
+        "--seconds", type=positive("s"), metavar="S", help="rig time after which the signal ends (default: all of it)"
+    )
+    parser.add_argument(
+        "--clip", type=positive("A"), metavar="A",
+        help="current to which larger samples are clipped (default: a sample above the shaker's limit ends the test)",
+    )  # fmt: skip
     _add_stream_options(parser, "play", FAST_HZ)
 
 
 def _add_frf(tests: Commands) -> None:
-    """Register `frf`."""
+    """Register the test `impact-rig drive frf` with its options."""
     default = signals.Excitation()
     parser = subcommand(
         tests, "frf", "impact_rig_studies.cli.drive_stream:run_frf",
@@ -211,8 +240,8 @@ def _add_frf(tests: Commands) -> None:
         "--reference", choices=tuple(SI), default="current", help="channel of the reference (default: current)"
     )
     for option, metavar, text in (
-        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame"),
-        ("low_hz", "HZ", "lower edge of the band"), ("high_hz", "HZ", "upper edge of the band"),
+        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame in s"),
+        ("low_hz", "HZ", "lower edge of the excited band"), ("high_hz", "HZ", "upper edge of the excited band"),
         ("rms", "A", "RMS current of the drive"), ("drive_seed", "N", "seed of the drive's random numbers"),
     ):  # fmt: skip
         value = getattr(default, EXCITATION[option])
@@ -224,9 +253,10 @@ def _add_frf(tests: Commands) -> None:
 
 
 def _add_random(tests: Commands) -> None:
-    """Register `random`."""
+    """Register the test `impact-rig drive random` with its options."""
     parser = subcommand(
-        tests, "random", "impact_rig_studies.cli.drive_stream:run_random", "hold a power spectral density",
+        tests, "random", "impact_rig_studies.cli.drive_stream:run_random",
+        "shake the rig with random noise of a requested power spectral density",
         [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
     )  # fmt: skip
     parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
@@ -234,19 +264,22 @@ def _add_random(tests: Commands) -> None:
 
 
 def _add_replicate(tests: Commands) -> None:
-    """Register `replicate`."""
+    """Register the test `impact-rig drive replicate` with its options."""
     parser = subcommand(
-        tests, "replicate", "impact_rig_studies.cli.drive_stream:run_replicate", "make a response follow a history",
+        tests, "replicate", "impact_rig_studies.cli.drive_stream:run_replicate",
+        "make a motion of the rig follow a given signal, by learning from repeated trials",
         [("drive replicate road.csv --signal base --unit mm", "the base follows a column of a file")],
     )  # fmt: skip
-    parser.add_argument("file", type=Path, metavar="FILE", help="history: a file as of import, or a run")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE", help="file with the signal to follow, in a format of `import`, or a run"
+    )
     _add_signal(parser)
     parser.add_argument("--plan", type=Path, metavar="FILE", help=PLAN.format("replicate"))
     _add_stream_options(parser, "replicate", RATE_HZ)
 
 
 def _add_shock(tests: Commands) -> None:
-    """Register `shock`."""
+    """Register the test `impact-rig drive shock` with its options."""
     parser = subcommand(
         tests, "shock", "impact_rig_studies.cli.drive_stream:run_shock", "make the base follow a compensated half sine",
         [("drive shock", "20 m/s², 11 ms")],
@@ -256,10 +289,17 @@ def _add_shock(tests: Commands) -> None:
 
 
 def _add_signal(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run")
+    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run, to use")
     parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="X", help="factor of the values (default: 1)")
-    parser.add_argument("--file-rate", type=float, metavar="HZ", help="samples per second of a file without times")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
+    )
+    parser.add_argument(
+        "--file-rate",
+        type=float,
+        metavar="HZ",
+        help="samples per second of a file without times and without a rate",
+    )
 
 
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
@@ -267,11 +307,11 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
     add_way(parser, " (drive.waveform: stream)")
     parser.add_argument(
         "--scan-rate", type=int, default=rate_hz, metavar="HZ",
-        help=f"scans per second, and samples of the drive (default: {rate_hz})",
+        help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
     )  # fmt: skip
     parser.add_argument(
         "--abort", nargs="+", type=_limit, default=[], metavar="CHANNEL=X",
-        help="end the test beyond a reading, e.g. laser=5mm current=2A",
+        help="limits of channels; a reading beyond one ends the test, e.g. laser=5mm current=2A",
     )  # fmt: skip
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
@@ -290,13 +330,18 @@ def _limit(text: str) -> tuple[str, float]:
 
 
 def _add_hold(tests: Commands) -> None:
-    """Register `hold`."""
+    """Register the test `impact-rig drive hold` with its options."""
     parser = subcommand(
         tests, "hold", "impact_rig_studies.cli.drive_sine:run_hold", "step the frequency at a controlled amplitude",
         [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
     )  # fmt: skip
-    parser.add_argument("what", choices=[*Hold], help="controlled amplitude")
-    parser.add_argument("target", metavar="PEAK", help="its peak with the unit, e.g. 60um, or 0.5A for the current")
+    parser.add_argument(
+        "what", choices=[*Hold],
+        help="quantity whose amplitude is controlled: coil current, or motion of the inferior or superior base",
+    )  # fmt: skip
+    parser.add_argument(
+        "target", metavar="PEAK", help="amplitude to hold, with its unit, e.g. 60um, or 0.5A for the current"
+    )
     _add_points(parser)
     add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
     _add_current(parser)
@@ -304,7 +349,7 @@ def _add_hold(tests: Commands) -> None:
 
 
 def _add_sweep(tests: Commands) -> None:
-    """Register `sweep`."""
+    """Register the test `impact-rig drive sweep` with its options."""
     parser = subcommand(
         tests, "sweep", "impact_rig_studies.cli.drive_sine:run_sweep", "step the frequency at a constant current",
         [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
@@ -315,7 +360,7 @@ def _add_sweep(tests: Commands) -> None:
 
 
 def _add_lock(tests: Commands) -> None:
-    """Register `lock`."""
+    """Register the test `impact-rig drive lock` with its options."""
     parser = subcommand(
         tests, "lock", "impact_rig_studies.cli.drive_sine:run_lock", "find a resonance, track it, and dwell there",
         [("drive lock --gap none", "the resonance without a sphere")],
@@ -327,14 +372,14 @@ def _add_lock(tests: Commands) -> None:
 
 
 def _add_backbone(tests: Commands) -> None:
-    """Register `backbone`."""
+    """Register the test `impact-rig drive backbone` with its options."""
     parser = subcommand(
         tests, "backbone", "impact_rig_studies.cli.drive_sine:run_backbone",
-        "follow a resonance over the current, up and down",
+        "find the resonance at each of several currents, first upwards and then downwards",
         [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
     )  # fmt: skip
     parser.add_argument(
-        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak currents in ascending order"
+        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak coil currents in ascending order"
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")
@@ -357,21 +402,21 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
-    add_through(parser, (PROCESS, ROS), "rig in this process (default), or behind topics")
+    add_through(parser, (PROCESS, ROS), "where the rig runs: in this process (default), or as ROS node processes")
     add_rig(parser)
     add_json(parser)
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
 
 
 def add_campaign(commands: Commands) -> None:
-    """Register `campaign`."""
+    """Register the command `impact-rig campaign` with its options."""
     parser = subcommand(
         commands, "campaign", "impact_rig_studies.cli.campaign:run_campaign",
         "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
             ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
-            ("campaign my.yaml --through ros --record --output runs/mine", "through the real graph, with recordings"),
+            ("campaign my.yaml --through ros --record --output runs/mine", "with ROS nodes, and recordings"),
         ],
         "The last line is the directory of the results; `impact-rig report` makes a page of it.",
     )  # fmt: skip
@@ -380,23 +425,26 @@ def add_campaign(commands: Commands) -> None:
     parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == "ros")
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
-        help="way of measuring: process (all cores; default), ros (the real graph) or dask ADDRESS (a Dask cluster)",
+        help="way of measuring: process (all cores; default), ros (rig and analysis as ROS nodes) or dask ADDRESS (a "
+        "Dask cluster)",
     )  # fmt: skip
-    add_output(parser, "results, resumed if they exist (default: runs/campaign_<file>)")
-    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to run (default: all)")
+    add_output(parser, "directory of the results; those already stored in it are kept (default: runs/campaign_<file>)")
+    parser.add_argument(
+        "--only", nargs="+", default=(), metavar="STUDY", help="names of the studies to measure (default: all)"
+    )
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
     )
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
-        "--check", action="store_true", help="exit with 1 if a point failed or a measurement contradicts the paper"
+        "--check", action="store_true", help="exit with 1 if a point failed or the results contradict the paper"
     )
 
 
 def add_report(commands: Commands) -> None:
-    """Register `report`."""
+    """Register the command `impact-rig report` with its options."""
     parser = subcommand(
         commands, "report", "impact_rig_studies.cli.campaign:run_report",
         "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
@@ -407,7 +455,7 @@ def add_report(commands: Commands) -> None:
         ],
     )  # fmt: skip
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
-    add_output(parser, "directory of the page (default: DIR)")
+    add_output(parser, "directory for report.html and report.json (default: DIR)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",
         help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
@@ -416,17 +464,17 @@ def add_report(commands: Commands) -> None:
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
         help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
     )  # fmt: skip
-    add_figures(parser, "directory of the figures (default: figures in that of the page)")
+    add_figures(parser, "directory for the figures (default: `figures` next to the page)")
     add_recorded_rig(parser)
 
 
 def add_map(commands: Commands) -> None:
-    """Register `map`."""
+    """Register the command `impact-rig map` with its options."""
     parser = subcommand(
         commands, "map", "impact_rig_studies.cli.mechanics:run_map",
-        "map DT and regimes over two or three parameters; run again to resume",
+        "compute DT and regimes of the model over two or three parameters; run again to resume",
         [
-            ("map config/maps/gap_frequency.yaml", "on all cores; draws the map next to its table"),
+            ("map config/maps/gap_frequency.yaml", "on all cores; writes a table and draws the map"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
     )  # fmt: skip
@@ -434,42 +482,46 @@ def add_map(commands: Commands) -> None:
         "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
     )
     parser.add_argument(
-        "--exponent", action="store_true", help="measure the largest exponent of every motion that does not repeat"
-    )
+        "--exponent", action="store_true",
+        help="compute the largest Lyapunov exponent of every motion that is not periodic",
+    )  # fmt: skip
     _add_task_options(parser, "map")
 
 
 def add_dynamics(commands: Commands) -> None:
-    """Register `dynamics`."""
+    """Register the command `impact-rig dynamics` with its options."""
     parser = subcommand(
         commands, "dynamics", "impact_rig_studies.cli.mechanics:run_dynamics",
-        "compute sections, bifurcations, basins, orbits, branches or exponents",
+        "compute Poincaré sections, bifurcations, basins, orbits, branches or Lyapunov exponents of the model",
         [
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
             ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
         ],
         more="All studies use the mechanics without instruments. Run the command again to resume it.",
     )  # fmt: skip
-    parser.add_argument("kind", choices=KINDS, help="kind of study: a section of the file")
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="plan, e.g. config/dynamics/nominal.yaml")
+    parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="FILE",
+        help="file that defines the studies, e.g. config/dynamics/nominal.yaml",
+    )  # fmt: skip
     _add_task_options(parser, "dynamics")
 
 
 def _add_task_options(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the arguments that every such command has."""
+    """Add the arguments that `map` and `dynamics` share; `what` is the name of the command."""
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
         help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
-    add_output(parser, f"results, resumed if they exist (default: runs/{what}_<file>)")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    add_output(parser, f"directory of the results; those already stored in it are kept (default: runs/{what}_<file>)")
+    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     add_json(parser)
     parser.add_argument("--no-figures", action="store_true", help="draw no figures")
-    add_figures(parser, "directory of the figures (default: figures in that of the results)")
+    add_figures(parser, "directory for the figures (default: `figures` in that of the results)")
 
 
 def add_identify(commands: Commands) -> None:
-    """Register `identify`."""
+    """Register the command `impact-rig identify` with its options."""
     parser = subcommand(
         commands, "identify", "impact_rig_studies.cli.identify:run_identify",
         "determine constants of the rig from measured runs",
@@ -480,21 +532,30 @@ def add_identify(commands: Commands) -> None:
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
-    parser.add_argument("--decay", type=Path, metavar="RUN", help="recorded run with a pluck (default: pluck the rig)")
+    parser.add_argument(
+        "--decay", type=Path, metavar="RUN",
+        help="recorded free decay after a pluck (default: pluck the simulated rig; none for an imported campaign)",
+    )  # fmt: skip
     add_recorded_rig(parser)
     parser.add_argument(
         "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
     )
     parser.add_argument(
         "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), metavar="DATA",
-        help="data to leave out: decay, sine, reductions",
+        help="data not to use: decay (free decay), sine (DT without sphere), reductions (DT with it)",
     )  # fmt: skip
     parser.add_argument(
         "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
-        help=f"standard uncertainty of the configuration's e, 0 if it is exact (default: {U_RESTITUTION:g})",
+        help="standard uncertainty of the configured restitution e, 0 if e is exact "
+        f"(default: {U_RESTITUTION:g})",
     )  # fmt: skip
-    parser.add_argument("--paper", action="store_true", help="fit the default rig to the paper's numbers instead")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration with known constants (with --paper)")
+    parser.add_argument(
+        "--paper", action="store_true", help="fit constants to the reductions in the paper instead of to a campaign"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE",
+        help="configuration with the known constants, with --paper (default: the paper's rig)",
+    )  # fmt: skip
 
 
 HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
@@ -503,8 +564,8 @@ HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m"
 def _add_drop(instead: argparse._MutuallyExclusiveGroup) -> None:
     instead.add_argument(
         "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
-        help="coefficient of restitution from remarks like `drop h0_m=0.2 h1_m=0.0245`, with this standard uncertainty "
-        "of a height, e.g. 0.5mm",
+        help="coefficient of restitution from drop tests noted as remarks like `drop h0_m=0.2 h1_m=0.0245`; LENGTH is "
+        "the standard uncertainty of each height, e.g. 0.5mm",
     )  # fmt: skip
 
 

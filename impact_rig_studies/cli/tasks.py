@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Common parts of the commands that measure a study's tasks: options, way of measuring, progress."""
+"""Common parts of the commands `campaign`, `map` and `dynamics`: arguments, way of measuring, progress."""
 
 from __future__ import annotations
 
@@ -38,7 +38,15 @@ T = TypeVar("T", bound=Task)
 def words(
     arguments: argparse.Namespace, what: str, example: str, ways: Sequence[str] = WAYS
 ) -> tuple[Path, Path, str, str]:
-    """Return file, directory, way and address; the file may also follow `--through` and its arguments.
+    """Return the arguments of a command: file, directory of the results, way of measuring, address of a Dask cluster.
+
+    The file may also follow `--through` and its arguments.
+
+    Args:
+        arguments: parsed arguments of the command.
+        what: name of the command, for messages and the default directory.
+        example: command without the program's name, for messages.
+        ways: allowed ways of measuring.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -62,14 +70,23 @@ def words(
 def runner(
     work: Callable[[P], R], address: str, workers: int | None
 ) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
-    """Return a function that measures tasks: on the cluster at an address, or on the cores of this machine."""
+    """Return a function that applies `work` to tasks and yields each with its result.
+
+    It uses the Dask cluster at `address`, or `workers` processes on this machine if the address is empty.
+    """
     return on_cluster(work, address) if address else lambda tasks: in_parallel(work, tasks, workers)
 
 
 def measure(
     tasks: Sequence[T], store: TaskStore[T], runner: Runner[T], console: Console, places: Callable[[T], int]
 ) -> tuple[int, float]:
-    """Measure the missing tasks, with progress by `places`; return the number of places and the duration [s]."""
+    """Measure the tasks without a stored result, and show the progress.
+
+    `places` returns the number of points of a task.
+
+    Returns:
+        (number of points measured now, duration [s]).
+    """
     began = time.monotonic()
     new = sum(places(task) for task in tasks if store.get(task) is None)
     count = 0

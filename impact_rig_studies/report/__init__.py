@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The report of a campaign: one self-contained HTML page, with its figures in a folder."""
+"""Report of a campaign or a run: one self-contained HTML page, its numbers as JSON, and its figures in a folder."""
 
 from impact_rig_studies.report.build import build_report
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Content and order of the report."""
+"""Construction of a report: the order of its sections, and the files that are written."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def build_report(
         rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
-        ConfigError: a directory contains neither campaign nor run, that of the margins no variation, or one of the
-            branches another rig; or margins or branches are given for results that were not simulated.
+        ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
+            another rig; or margins or branches are given for results that were not simulated.
         RecordingError: there are no measurements yet, or the page cannot be written.
     """
     folder = directory if directory.is_dir() else directory.parent
@@ -110,13 +110,21 @@ def build_report(
 
 
 def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
-    """Raise an error for options that need a simulated campaign."""
+    """Reject the options `--margins` and `--branches` for a report of measurements.
+
+    Raises:
+        ConfigError: one of them is given.
+    """
     if margins or branches:
-        raise ConfigError(f"--margins and --branches belong to a simulated campaign, {directory} is a measurement")
+        raise ConfigError(f"--margins and --branches need a simulated campaign, but {directory} is a measurement")
 
 
 def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:
-    """Write page, numbers, and figures into a folder."""
+    """Write the page to `target`, its numbers next to it, and its figures into `folder`; return `target`.
+
+    Raises:
+        RecordingError: a file cannot be written.
+    """
     try:
         files.make_folder(folder)
         for one in content.drawn:
@@ -131,7 +139,15 @@ def _write(folder: Path, formats: Sequence[str], target: Path, content: Content,
 def _sections(
     done: Finished, varied: list[Variation], drawn: list[Drawn], content: Content, folder: Path
 ) -> Iterator[Section | None]:
-    """Yield the sections of a page in `folder`."""
+    """Yield the sections of a campaign's report in order, None for one without content.
+
+    Args:
+        done: campaign with its results.
+        varied: verdicts on rigs with varied constants.
+        drawn: figures of the model's branches.
+        content: collection to which tables and figures are added.
+        folder: directory of the page, to which links are relative.
+    """
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
     compared = itertools.chain(
@@ -227,7 +243,7 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
 
 
 def _paths(done: Finished, folder: Path) -> list[Path]:
-    """Return the files of a campaign that its page in `folder` links to."""
+    """Return the paths of a campaign's result files that its page, in the directory `folder`, links to."""
     names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, CONFIGURATION_FILE]
     if done.imported:
         names.remove(CONFIGURATION_FILE)  # it describes the nominal rig, on which nothing was measured
@@ -237,7 +253,7 @@ def _paths(done: Finished, folder: Path) -> list[Path]:
 
 
 def _links(paths: Sequence[Path], folder: Path) -> Markup:
-    """Return links to files for a page in `folder`: relative if possible, so that the folder can be moved."""
+    """Return links to files as HTML for a page in `folder`: relative if possible, so that the folder can be moved."""
     resolved, here = [path.resolve() for path in paths], folder.resolve()
     addresses = [
         quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved

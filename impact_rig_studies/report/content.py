@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Content of the page as data: every displayed table, figure and number is also written to `report.json`.
+"""Content of a report's page as data: every displayed table, figure and number is also written to `report.json`.
 
 No number of the page exists only as text: it is in `report.json` at full precision, in its displayed unit, or in
 `points.csv` or `summary.json`. A test proves this.
@@ -38,7 +38,7 @@ LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is 
 
 @attrs.frozen
 class Cell:
-    """A cell of a table: its text, and the number or numbers that it shows."""
+    """Cell of a table in a report: its text, and the number or numbers that it shows, None for a text."""
 
     text: str
     value: float | Sequence[float] | None
@@ -46,19 +46,23 @@ class Cell:
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
-    """Return a number, or an empty cell if there is none."""
+    """Return a cell with a number, formatted by `spec`; an empty cell if the number is not finite."""
     return Cell(format(value, spec), value) if math.isfinite(value) else Cell("", None)
 
 
 def plus_minus(value: float, u: float, spec: str) -> Cell:
-    """Return a value with its expanded uncertainty, which is `COVERAGE` standard uncertainties."""
+    """Return a cell with a value and, after ±, its expanded uncertainty: `COVERAGE` standard uncertainties `u`."""
     if not (math.isfinite(value) and math.isfinite(u)):
         return number(value, spec)
     return Cell(f"{value:{spec}} ± {COVERAGE * u:{spec}}", (value, COVERAGE * u))
 
 
 class Content:
-    """Collection of the page's content during its construction."""
+    """Collection of the facts, tables and figures of a report while its page is made, for `report.json`.
+
+    Attributes:
+        drawn: figures so far, to be saved.
+    """
 
     def __init__(self) -> None:
         self.drawn: list[Drawn] = []
@@ -66,14 +70,14 @@ class Content:
         self._tables: dict[str, object] = {}
 
     def fact(self, name: str, value: float | str, spec: str = "") -> str:
-        """Store a number or a text of the prose under a name, and return its displayed form."""
+        """Store a number or text that the prose of the page shows under a name, and return it formatted by `spec`."""
         self._facts[name] = value
         return format(value, spec)
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
     ) -> Markup:
-        """Return a table for the page, and store its cells under a name."""
+        """Return a table as HTML for the page, and store its cells under a name; `numeric` ones are right-aligned."""
         kept = [list(row) for row in rows]
         self._tables[name] = {
             "columns": list(headings),
@@ -83,13 +87,13 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures for the page, and store them for saving."""
+        """Return figures as HTML for the page, and store them for saving; `large` shows them in full width."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)
 
     def write(self, path: Path, title: str) -> None:
-        """Write the complete content as JSON."""
+        """Write the title and everything stored so far into a JSON file at `path`."""
         figures = {
             one.name: {
                 "caption": one.caption,

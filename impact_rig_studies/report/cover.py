@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""First page: title, authors and key results, then the drawn set-up and its instruments."""
+"""Beginning of a campaign's report: title, origin and key results, then the drawn set-up and its instruments."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ DIGITS = 12  # number of characters of a digest
 
 
 def opening(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield title, cover block and key figures."""
+    """Yield the beginning of a campaign's report as HTML: title, origin of the results, and key figures."""
     yield title(done.campaign.title)
     yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
     yield cover(_entries(done, content))
@@ -57,10 +57,10 @@ def opening(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def versions(done: Finished) -> dict[str, object]:
-    """Return the software versions and the machine of the campaign.
+    """Return the software versions, and the machine, with which a campaign was measured, from `provenance.json`.
 
     Raises:
-        RecordingError: the versions cannot be read.
+        RecordingError: the file cannot be read.
     """
     try:
         found = json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8"))
@@ -116,7 +116,7 @@ def _key_figures(done: Finished, content: Content) -> list[tuple[str, str]]:
 
 
 def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the drawn set-up, its constants, and the instruments with their calibration."""
+    """Yield the section about the rig as HTML: the drawn set-up, its constants, and the calibrated instruments."""
     yield content.figures([set_up()])
     yield heading("Constants of the rig")
     yield content.table("constants", ["symbol", "value", "unit", "meaning"], _constants(done), [1])
@@ -128,7 +128,7 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def instruments_table(info: NDArray[np.void], content: Content) -> Iterator[Markup]:
-    """Yield a table of instruments from rows of `daq/info`, and the meaning of its columns."""
+    """Yield a table of the instruments in rows of `daq/info`, and the meaning of its columns, as HTML."""
     yield paragraph(
         "u(S): relative standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: "
         "conversion after the scan clock."
@@ -191,7 +191,7 @@ def _with_unit(value: float, unit: str) -> Cell:
 
 
 def _short(value: float) -> str:
-    """Return three digits of a number, without an exponent if possible."""
+    """Return a number with three significant digits as text, without an exponent if possible."""
     return f"{float(f'{value:.3g}'):g}"
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figures of the measurements: DT over frequency and gap with paper and theory, residuals, motion and regimes."""
+"""Figures of a campaign: DT over frequency and gap with paper and theory, residuals, motion and regimes."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ FINE = 400  # number of frequencies at which a prediction is drawn
 
 
 def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT without the sphere: measured, and the closed form of the configured rig."""
+    """Draw DT without the sphere over the frequency: measured, and the closed form of the configured rig."""
     points = curve(curves, NO_SPHERE)
     if not points:
         return
@@ -82,9 +82,9 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT of all cases, linear and logarithmic, with phase and predictions: the complete range, and at resonance.
+    """Draw DT and phase of all gaps over the frequency, with predictions: the complete range, and near resonance.
 
-    Near resonance all measurements are drawn, elsewhere those at the paper's frequencies.
+    All measurements at the paper's current are drawn.
     """
     cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
     if len(cases) < 2:
@@ -128,7 +128,7 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def _within(curves: Curves, gap: float, low: float, high: float) -> list[Point]:
-    """Return all measurements of a case between two frequencies, at the paper's current."""
+    """Return the points with a gap between two frequencies, at the paper's current, ascending."""
     points = (p for f, p in sorted(curves.by_gap[gap].items()) if low <= f <= high)
     return [p for p in points if p.current_a == paper.CURRENT_A]
 
@@ -139,7 +139,10 @@ def _label_if_first(value: float, _: float) -> str:
 
 
 def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
-    """Draw one case into the three axes: points with error bars, and lines of the theory, or faint lines."""
+    """Draw one gap into the axes for DT linear, DT logarithmic and phase: points with error bars, lines of the theory.
+
+    Without a theory, dotted lines connect the points.
+    """
     frequency, shade = [p.frequency_hz for p in points], colour(gap)
     phases = _lag_deg([p.phase_rad for p in points])
     bars = [COVERAGE * math.degrees(float(p.rows["phase_uncertainty"][0])) for p in points]
@@ -176,7 +179,7 @@ def _predicted_line(gap: float, part: Stretch) -> Line:
 
 @style()
 def draw_reductions(reductions: Reductions, path: Path) -> Path:
-    """Draw transmissibility and its reduction by gap with the paper's five numbers; return `path`."""
+    """Draw DT and its reduction by gap, next to the paper's five numbers, into a PNG file at `path`; return `path`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  # a second of import, only for figures
     from matplotlib.figure import Figure  # noqa: PLC0415
 
@@ -221,7 +224,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 
 
 def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw our reductions next to those of the paper."""
+    """Draw the measured reductions of DT at 9.1 Hz over the gap, next to the paper's."""
     ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
         return
@@ -248,7 +251,7 @@ def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
 
 
 def differences(reductions: Reductions) -> Iterator[Drawn]:
-    """Draw the differences of our reductions from those of the paper."""
+    """Draw the measured reductions at 9.1 Hz minus the paper's over the gap, in percentage points."""
     errors, spread = reductions.errors(), reductions.percent_uncertainty
     if not errors:
         return
@@ -285,7 +288,7 @@ def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 def _residuals(
     x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
 ) -> tuple[Figure, Axes]:
-    """Draw differences with their error bars about a line with a colour and a name."""
+    """Draw differences with error bars about the line zero; `zero` is the colour and the name of this line."""
     figure, (axis,) = new_axes(3.0)
     axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
     axis.errorbar(x, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label=label)
@@ -300,29 +303,32 @@ REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
 
 
 def colour(gap_m: float) -> str:
-    """Return the colour of a case, the same in all figures."""
+    """Return the colour in which a gap, or no sphere, is drawn in all figures."""
     gaps = list(REDUCTION_PERCENT)
     return MUTED if gap_m == NO_SPHERE else SERIES[gaps.index(gap_m)] if gap_m in gaps else INK
 
 
 def curve(curves: Curves, gap_m: float) -> list[Point]:
-    """Return a case's points at the paper's frequencies."""
+    """Return the settled points with a gap at the paper's frequencies, ascending."""
     return [point for frequency in FREQUENCIES_HZ if (point := curves.at(gap_m, frequency)) is not None]
 
 
 def papers_dt(curves: Curves, gap_m: float) -> float | None:
-    """Return the DT at 9.1 Hz that follows from the paper's reduction and our curve without sphere."""
+    """Return the DT at 9.1 Hz that the paper's reduction for a gap gives, relative to the measured DT without sphere.
+
+    None without such a measurement.
+    """
     without = curves.at(NO_SPHERE, FREQUENCY_HZ)
     return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
 
 
 def case(gap_m: float) -> str:
-    """Return the name of a case in legends."""
+    """Return the name of a gap in legends, such as `4 mm` or `no sphere`."""
     return case_of(gap_m).removeprefix("gap ")
 
 
 def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
-    """Return the measurements of a case, as drawn in its curve."""
+    """Return the numbers of a drawn curve for its CSV: DT and phase of the points with a gap over the frequency."""
     return Line(
         case(gap_m),
         {
@@ -335,7 +341,7 @@ def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
 
 
 def figure_8(curves: Curves) -> Iterator[Drawn]:
-    """Draw each gap next to the curve without sphere."""
+    """Draw the paper's Fig. 8: for each of its gaps DT over the frequency, next to the curve without sphere."""
     without = curve(curves, NO_SPHERE)
     for letter, gap in zip(FIGURE_8, REDUCTION_PERCENT, strict=True):
         points = curve(curves, gap)
@@ -360,7 +366,7 @@ def _title(gap_m: float) -> str:
 
 
 def peaks(curves: Curves) -> Iterator[Drawn]:
-    """Draw the curves around their peaks, on the fine grid, with the peaks marked."""
+    """Draw DT around 9.1 Hz on the grid of 0.01 Hz for each gap, with its peak marked."""
     figure, (axis,) = new_axes(3.4)
     lines: list[Line] = []
     for gap in (NO_SPHERE, *REDUCTION_PERCENT):
@@ -382,7 +388,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
 
 
 def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
-    """Return the damper's effect from DT with and without the sphere, by gap and frequency, if both exist."""
+    """Return the sphere's added mass and loss factor by gap and frequency, if DT was measured with and without it."""
     found: dict[float, dict[float, Damper]] = {}
     for gap in curves.gaps():
         for frequency, point in sorted(curves.by_gap[gap].items()):
@@ -393,7 +399,7 @@ def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float,
 
 
 def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
-    """Draw added mass and loss factor over frequency, with their expanded uncertainties."""
+    """Draw added mass and loss factor of the sphere over the frequency, one line per gap, ± 2u."""
     found = {gap: own for gap, own in dampers(curves, calibration).items() if len(own) > 1}
     if not found:
         return
@@ -420,7 +426,10 @@ def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Dr
 
 
 def amplitudes(curves: Curves) -> Iterator[Drawn]:
-    """Draw the amplitudes of both bases over frequency: the damper increases the motion of the inferior base."""
+    """Draw the amplitudes of superior and inferior base over the frequency, one line per gap.
+
+    The figure shows why DT falls: the damper increases the motion of the inferior base.
+    """
     cases = {gap: points for gap in (NO_SPHERE, *REDUCTION_PERCENT) if (points := curve(curves, gap))}
     if not cases:
         return
@@ -491,7 +500,13 @@ DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the acceler
 
 
 def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the motion over time."""
+    """Draw the motion of superior base and sphere over a few cycles, with the accelerometer's signal.
+
+    Args:
+        trace: scans and true motion of the end of a job, by column.
+        gap_m: gap [m].
+        frequency_hz: drive frequency.
+    """
     time = np.asarray(trace["time"], float)
     shown = time <= CYCLES / frequency_hz
     coarse = np.flatnonzero(shown)[:: max(1, round(1.0 / (time[1] - time[0]) / DRAWN_HZ))]
@@ -514,7 +529,7 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
 
 
 def phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the sphere's motion between the barriers; arguments as in `time_trace`."""
+    """Draw the velocity of the sphere relative to the superior base over its position; arguments as in `time_trace`."""
     place = 1e3 * (np.asarray(trace["x_2"], float) - np.asarray(trace["x_1"], float))
     speed = np.asarray(trace["v_2"], float) - np.asarray(trace["v_1"], float)
     figure, (axis,) = new_axes()

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Results of a test through the stream: figures as data, sentences, and a page of drawings."""
+"""Presentation of the results of a test of `impact-rig drive` with samples: data, sentences, and a page of drawings."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ SHOWN_S = 1.0  # duration of the drawn part of a played history, around its larg
 
 @attrs.frozen(eq=False)
 class ResultSummary:
-    """Summary of a result."""
+    """Summary of a test's latest result, for the terminal, the JSON file and the page."""
 
-    progress: str  # progress, in one line
-    figures: Mapping[str, object]  # figures as data
-    sentences: Sequence[str]  # sentences for users
+    progress: str  # progress so far, in one line
+    figures: Mapping[str, object]  # key figures by name, for the JSON file
+    sentences: Sequence[str]  # results as sentences for the user
     draw: Callable[[], list[Drawn]]  # function that makes the drawings
     missing: str = ""  # reason why there is no result, as a sentence; empty if there is one
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:
-    """Summarise the result of a test; `unit` is that of its response."""
+    """Summarise the latest result of a test with samples, such as `Reached` or `Frf`, whose response is in `unit`."""
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]
     if lacking and not summary.missing:
@@ -77,7 +77,7 @@ def tell(found: object, unit: str = "") -> ResultSummary:
 
 
 def _is_known(value: object) -> bool:
-    """Return whether a figure, or every figure of a mapping, exists; tables may have gaps."""
+    """Return whether a key figure is finite; for a mapping, whether all its figures are. Arrays may contain NaN."""
     if isinstance(value, Mapping):
         return all(_is_known(one) for one in value.values())
     return not isinstance(value, float) or math.isfinite(value)
@@ -86,7 +86,15 @@ def _is_known(value: object) -> bool:
 def document(
     title: str, about: Sequence[tuple[str, str]], summary: ResultSummary, early: str, *, drawn: bool = True
 ) -> str:
-    """Return the page, with its drawings or without."""
+    """Return the HTML page of a test's results.
+
+    Args:
+        title: title of the page.
+        about: pairs of label and value for the block below the title.
+        summary: the results.
+        early: reason why the test ended early; empty otherwise.
+        drawn: whether the page contains the drawings.
+    """
     written = ("Written", f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')}, impact_rig {impact_rig.__version__}")
     parts = [page.title(title), page.cover([*about, written])]
     parts += [page.paragraph(f"Ended early: {early}")] if early else []
@@ -102,7 +110,7 @@ def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
 
 
 def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
-    """Draw the error of each loop or trial."""
+    """Draw the error of each loop or trial over its number; `label` names the error, `what` is `loop` or `trial`."""
     figure, (axis,) = new_axes(2.4)
     number = np.arange(1, len(errors) + 1)
     axis.plot(number, errors, "o-", color=MEASURED)
@@ -229,7 +237,10 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 
 
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
-    """Return an error with its floor as text."""
+    """Return an error of a shock as text, with the size that noise of the sensors alone causes.
+
+    `name` is an attribute of `found`; its value is shown times `factor`, in `unit`.
+    """
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:
         return f"as requested, within the noise floor of {floor:.2g} {unit}"

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Findings: reductions and residuals, statements and their evidence, the uncertainty budget of one transmissibility."""
+"""Sections of a campaign's report with its findings: reductions, statements and their evidence, uncertainty budget."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ BUDGETED_GAP_M = 6e-3  # the case whose uncertainty is analysed, if it was measu
 
 
 def value_cell(value: Value) -> str | Cell:
-    """Return a configuration's value as a cell."""
+    """Return a value of a configuration as a cell of a table; a text, a switch or a list becomes a text."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
     return number(float(value)) if isinstance(value, float) else Cell(str(value), value)
 
 
 def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield DT and reduction by gap next to those of the paper."""
+    """Yield the table of DT and its reduction by gap, next to the paper's, as HTML; nothing if none was measured."""
     reductions = done.reductions()
     ours, spread, errors = reductions.percent(), reductions.percent_uncertainty, reductions.errors()
     if not ours:
@@ -66,7 +66,10 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the effect of the damper according to DT, at the frequency with the most gaps."""
+    """Yield the table of the sphere's added mass and loss factor by gap, as HTML.
+
+    They follow from DT with and without the sphere, at the frequency for which the most gaps were measured.
+    """
     found = dampers(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
     if not counts:
@@ -84,7 +87,7 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def statements(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the paper's statements with verdict, kind and margin."""
+    """Yield the paper's statements with verdict, strength of the evidence and margin, as HTML."""
     verdicts = done.verdicts()
     if all(verdict.result is None for verdict in verdicts):
         return
@@ -106,7 +109,7 @@ def statements(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the uncertainty budget of one transmissibility."""
+    """Yield the uncertainty budget of one DT, for the gap of 6 mm or else without sphere at 9.1 Hz, as HTML."""
     chosen: Point | None = None
     for gap in (BUDGETED_GAP_M, NO_SPHERE):
         chosen = chosen or done.curves.at(gap, FREQUENCY_HZ)
@@ -142,7 +145,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
-    """Yield the chosen constants, and their influence on the verdicts."""
+    """Yield the constants of the rig that were chosen to match the paper, and what this means for verdicts, as HTML."""
     values = to_flat(config)
     rows: list[list[str | Cell]] = [
         [name, value_cell(values[name]), about.unit, about.doc]
@@ -171,7 +174,10 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
 
 
 def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
-    """Yield the figure of every statement on rigs that differ in one constant."""
+    """Yield a table of the statements' deciding values on rigs that differ in one constant, as HTML.
+
+    `varied` contains the verdicts for these rigs; without any, nothing is yielded.
+    """
     if not varied:
         return
     yield paragraph(

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Heat maps: reduction over two axes, with outlined regimes and predicted motions with two symmetric impacts."""
+"""Heat maps of a map study: reduction of DT over two axes, with outlined regimes and predicted motions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ APART = 0.01  # relative difference of DT from which the two directions count as
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
-    """Yield the pictures of a map: one per direction and value of the third axis, and their differences."""
+    """Yield the figures of a finished map: one per direction and value of the third axis.
+
+    A map of two axes that was measured upwards and downwards also has a figure of the difference.
+    """
     plan = done.plan
     pages = list(plan.axes.items())[2:]
     for layer, values in done.values.items():
@@ -62,7 +65,10 @@ def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
 
 
 def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
-    """Return the class of each point as a number: `QUIET` … `CHAOTIC`, `NONE` without a measurement."""
+    """Return the class of motion at each point of a map, as a number: `QUIET` … `CHAOTIC`, `NONE` if unresolved.
+
+    `values` are the results of the map by name, all of one shape.
+    """
     regime, impacts = values["regime"], np.asarray(values["impacts_per_cycle"], float)
     period = np.asarray(values["period"], float)
     found = np.full(regime.shape, NONE)
@@ -111,13 +117,13 @@ def _drawn(
 
 
 def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the borders of cells around values, shape (n + 1,)."""
+    """Return the borders of the cells around the values of an axis, shape (n + 1,), halfway between neighbours."""
     middle = 0.5 * (x[1:] + x[:-1])
     return np.concatenate([[1.5 * x[0] - 0.5 * x[1]], middle, [1.5 * x[-1] - 0.5 * x[-2]]])
 
 
 def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
-    """Draw the borders of each regime."""
+    """Draw the borders of each class of motion between the cells with the edges x and y; `groups` are the classes."""
     from matplotlib.collections import LineCollection  # noqa: PLC0415  # only when something is drawn
 
     for group, colour in OUTLINES.items():
@@ -137,7 +143,10 @@ def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups:
 
 
 def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
-    """Outline the predicted stable symmetric motion with two impacts per cycle, on maps of gap and frequency."""
+    """Draw where a stable motion with two symmetric impacts per cycle is predicted, on a map of gap and frequency.
+
+    `page` is the value of the map's third axis, None without one. Nothing is drawn if the prediction does not apply.
+    """
     names = list(plan.axes)
     if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":
         return

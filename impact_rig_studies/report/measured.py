@@ -11,10 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Report of any measurement: an imported campaign, or a single run, recorded or imported.
+"""Report of an imported campaign, or of a single run, recorded or imported.
 
-It contains only results of the data. It refers neither to the paper nor, unless the run was simulated, to a
-configuration.
+It contains only results of the data, and no comparison with the paper.
 """
 
 from __future__ import annotations
@@ -63,11 +62,11 @@ BATCHES = 4  # for a response that is not periodic: the smaller number, see docs
 
 @attrs.frozen(eq=False, kw_only=True)
 class MeasuredData:
-    """Data of a report of measurements."""
+    """Content of a report of measurements: the results of an imported campaign or of one run."""
 
     title: str
     kind: str  # description of the measurement, in one sentence
-    about: Sequence[tuple[str, str]]  # entries of the cover
+    about: Sequence[tuple[str, str]]  # pairs of label and value below the title
     rows: NDArray[np.void]  # settled rows of `transmissibility/table`, one per gap and frequency, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
     failed: Sequence[tuple[str, str]] = ()  # places without a settled measurement, and the reasons
@@ -75,7 +74,7 @@ class MeasuredData:
 
 
 def of_campaign(done: Finished) -> MeasuredData:
-    """Return the data of an imported campaign."""
+    """Return the content of the report of an imported campaign."""
     settled = [point for point in done.points if point.settled]
     parts = [point.rows[-1:] for point in settled]
     rows: NDArray[np.void] = np.concatenate(parts) if parts else np.empty(0, TRANSMISSIBILITY)
@@ -94,7 +93,7 @@ def of_campaign(done: Finished) -> MeasuredData:
 
 
 def _origins(directory: Path) -> Iterator[tuple[str, str]]:
-    """Yield the assumptions about the files of a campaign, and what was left out of them."""
+    """Yield what the import of the runs below a directory assumed and left out, as pairs of label and text."""
     found: dict[str, list[str]] = {"assumed": [], "left out": []}
     for path in sorted(path.parent for path in directory.rglob("metadata.yaml")):
         with open_run(path) as run:
@@ -105,7 +104,7 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 
 
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
-    """Return the data of a run; with several rigs, those of one namespace.
+    """Return the content of the report of a run; `rig` is the namespace of the rig in a run with several rigs.
 
     Raises:
         RecordingError: the run cannot be read or analysed.
@@ -138,7 +137,13 @@ def of_run(path: Path, rig: str | None = None) -> MeasuredData:
 
 
 def document(data: MeasuredData, content: Content, links: Markup) -> str:
-    """Return the page; `links` are links to the files next to it."""
+    """Return the HTML page of a report of measurements.
+
+    Args:
+        data: content of the report.
+        content: collection to which tables and figures are added.
+        links: HTML with links to the files of the measurement.
+    """
     with style():
         calibration = Calibration.from_info(data.info)
         best = _largest(data.rows)
@@ -161,7 +166,10 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
 
 
 def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str, str]]:
-    """Yield the conditions according to rows and instruments: rate, channels, frequencies, amplitudes."""
+    """Yield the conditions of a measurement as pairs of label and text: rate, channels, frequencies, amplitudes.
+
+    `rows` are the settled measurements, `info` the rows of `daq/info`.
+    """
     rates = sorted({float(row["rate"]) for row in info})
     yield "Rate", f"{', '.join(f'{rate:.10g}' for rate in rates)} scans/s"
     yield "Instruments", ", ".join(row["name"].decode() for row in info)
@@ -174,7 +182,7 @@ def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str
 
 
 def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
-    """Return the range of values; empty if none was measured."""
+    """Return the range of the values > 0 as text, each times `factor`, in `unit`; empty if there are none."""
     known = factor * values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""
@@ -222,7 +230,10 @@ def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
 
 
 def transmissibility(rows: NDArray[np.void]) -> Drawn:
-    """Draw DT and phase over the frequency with ± 2u, one line per case; call this within `drawing.style`."""
+    """Draw DT and phase of settled measurements over the frequency, ± 2u, one line per gap.
+
+    Call this within `drawing.style`.
+    """
     figure, (upper, lower) = new_axes(4.8, (1.6, 1.0))
     lines: list[Line] = []
     for i, case in enumerate(dict.fromkeys(case_of(float(gap)) for gap in rows["gap"])):
@@ -254,7 +265,7 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
 
 
 def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
-    """Yield the reductions against the measurement without sphere at the same frequency."""
+    """Yield a table of the reductions of DT against the measurement without sphere at the same frequency, as HTML."""
     without = {float(row["frequency"]): row[None] for row in rows if row["gap"] == NO_SPHERE}
     cells: list[list[str | Cell]] = []
     for row in rows:
@@ -271,7 +282,10 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
 
 
 def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
-    """Yield the uncertainty of one measurement: result, coverage factor, degrees of freedom, conditions, budget."""
+    """Yield the uncertainty of one DT as HTML: result, coverage factor, degrees of freedom, conditions and budget.
+
+    `row` has the shape (1,), or (0,) if nothing settled.
+    """
     if not len(row):
         return
     found = budget(row, calibration)
@@ -309,7 +323,7 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 
 
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
-    """Return the degrees of freedom of the type A part, and the effective ones of the total.
+    """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """
@@ -321,7 +335,7 @@ def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
 
 
 def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
-    """Draw the last settled measurement: time traces, phase plane, spectrum."""
+    """Draw the time traces and the spectrum of the last settled measurement of a run; `found` is its analysis."""
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
     units = channel_units(run)

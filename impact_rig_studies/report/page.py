@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""HTML pages of reports, made by a template engine that escapes every text; they load and execute nothing.
+"""Construction of the HTML pages of reports, by a template engine that escapes texts; pages load and execute nothing.
 
 The security policy of a page allows one style sheet, identified by its digest, and embedded images. Even injected
 markup could neither execute nor load anything. Styles of drawings are therefore converted to classes of the style
@@ -48,17 +48,17 @@ class Section:
 
     @property
     def anchor(self) -> str:
-        """Identifier of the section."""
+        """Identifier of the section on its page, to which links point."""
         return f"s-{names.identifier(self.title.lower())}"
 
     def __html__(self) -> Markup:
-        """Return the section as HTML for templates."""
+        """Return the HTML of the section; the template engine calls this to insert it without escaping."""
         return self.html
 
 
 @functools.cache
 def _parts() -> jinja2.Template:
-    """Return the templates of all parts."""
+    """Return the template file whose macros make the parts of a page."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -73,12 +73,12 @@ def _render(part: str, *values: object) -> Markup:
 
 
 def _lowered(text: str) -> Markup:
-    """Return a text with the indices of its symbols as subscripts."""
+    """Return a text as HTML, in which the index of a symbol such as m_1 is a subscript."""
     return Markup(_SYMBOL.sub(_LOWERED, str(escape(text))))  # noqa: S704  # escaped, and what it gains is ours
 
 
 def page(title: str, parts: Iterable[Section | Markup]) -> str:
-    """Return the complete document."""
+    """Return the complete HTML document of a page with this title, from its parts in order."""
     body, classes = _classed(Markup("\n").join(parts))
     style = f"{STYLE}{classes}"
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
@@ -87,9 +87,9 @@ def page(title: str, parts: Iterable[Section | Markup]) -> str:
 
 
 def _classed(body: Markup) -> tuple[Markup, str]:
-    """Return a page whose inline styles are converted to classes, and the rules of those classes.
+    """Return a page whose inline styles are replaced by classes, and the CSS rules of these classes.
 
-    Only drawings have inline styles, which matplotlib makes from numbers and colours.
+    The security policy of the page allows no inline styles. Only drawings have them, made by matplotlib.
     """
     rules: dict[str, str] = {}
 
@@ -105,12 +105,12 @@ def _classed(body: Markup) -> tuple[Markup, str]:
 
 
 def title(text: str) -> Markup:
-    """Return the heading of a page."""
+    """Return the main heading of a page as HTML."""
     return _render("title", text)
 
 
 def section(title: str, *parts: Markup) -> Section | None:
-    """Return a section, or None if it has no content."""
+    """Return a section of a page with a title and its parts, or None if all parts are empty."""
     body = Markup("\n").join(one for one in parts if one)
     if not body:
         return None
@@ -119,28 +119,28 @@ def section(title: str, *parts: Markup) -> Section | None:
 
 
 def contents(sections: Iterable[Section]) -> Markup:
-    """Return the table of contents of sections."""
+    """Return a table of contents with links to sections, as HTML."""
     return _render("contents", list(sections))
 
 
 def heading(title: str) -> Markup:
-    """Return a heading within a section."""
+    """Return a heading within a section, as HTML."""
     return _render("heading", title)
 
 
 def paragraph(text: str, kind: str = "") -> Markup:
-    """Return a paragraph of plain text."""
+    """Return a paragraph of plain text as HTML; `kind` is its class in the style sheet, such as `muted`."""
     return _render("paragraph", text, kind)
 
 
 def cover(entries: Iterable[tuple[str, str]]) -> Markup:
-    """Return the cover block from pairs of a label and its value, both plain text; empty values are left out."""
+    """Return the block below a page's title as HTML: pairs of label and value, without those with an empty value."""
     return _render("cover", [entry for entry in entries if entry[1]])
 
 
 @attrs.frozen
 class _Figure:
-    """Data of a drawing for its template."""
+    """Figure of a page as its template needs it."""
 
     identifier: str
     name: str
@@ -150,7 +150,10 @@ class _Figure:
 
 
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
-    """Return figures side by side, as the page width allows; each can be enlarged and has its numbers as CSV."""
+    """Return figures as HTML, side by side as the page width allows, or in full width if `large`.
+
+    Each can be enlarged, and has a link to its numbers as CSV.
+    """
     shown = [
         _Figure(
             one.identifier, one.name, one.caption, Markup(one.inline()),  # noqa: S704  # matplotlib escapes its texts
@@ -162,28 +165,28 @@ def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = ()) -> Markup:
-    """Return a table of plain text; on a phone every row becomes a list of its cells with their headings.
+    """Return a table of plain text as HTML; on a phone every row becomes a list of its cells with their headings.
 
     Args:
         headings: headings of the columns.
-        rows: cells; the word of a verdict determines the colour of its cell.
+        rows: cells of each row; a cell that is a verdict (`pass`, `FAIL`) is coloured.
         numeric: indices of right-aligned columns.
     """
     return _render("table", list(headings), [list(row) for row in rows], set(numeric))
 
 
 def tiles(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return key figures from pairs of a number and its description."""
+    """Return key figures, shown large, as HTML from pairs of a number and its description."""
     return _render("tiles", list(items))
 
 
 def folded(summary: str, body: Markup) -> Markup:
-    """Return a part that is collapsed at first, and expanded in print."""
+    """Return HTML that is collapsed below the line `summary` until the reader opens it, and is expanded in print."""
     return _render("folded", summary, body)
 
 
 def links(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return a list of links from pairs of an address and a text."""
+    """Return a list of links as HTML from pairs of an address and a text."""
     return _render("links", list(items))
 
 

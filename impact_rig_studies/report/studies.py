@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figure of any study: DT, or its reduction, over the axis with the most values, with one line per other value.
+"""Figure of any study of a campaign: DT, or its reduction, over the axis with the most values.
 
-A theory without simulation, for two impacts per cycle, is drawn as well if it applies.
+It has one line per combination of the other values, and the prediction for two impacts per cycle if that applies.
 """
 
 from __future__ import annotations
@@ -46,18 +46,25 @@ AXIS_NAMES = {
     "sphere.density_kg_m3": ("density of the sphere", "kg/m³", 1.0),
 }
 OF_INSTRUMENTS = ("daq.", "instruments.", "time.", "step.", "output.", "pluck.")
-"""Prefixes of configuration values that do not affect the mechanics."""
+"""Beginnings of the names of configuration values that do not affect the mechanics."""
 OPEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "markerfacecolor": "white", "zorder": 3}
-"""Style of a point whose sphere did not strike."""
+"""Style of drawn points with a sphere that did not strike."""
 MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 
 
 def study_figures(
     study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
 ) -> Iterator[Drawn]:
-    """Draw a study that has at least three settled points along some axis.
+    """Yield the figure of a study; nothing if no axis has three values, or it would have too many lines.
 
     Reductions are relative to the reference rig, so a study of several sets of instruments shows DT itself.
+
+    Args:
+        study: name of the study.
+        points: points of the study.
+        curves: settled points of the reference rig.
+        calibration: calibration of the instruments.
+        theory: predicted reduction over the gap; None means none.
     """
     settled = [point for point in points if point.settled]
     if not settled:
@@ -119,7 +126,7 @@ def study_figures(
 
 
 def _place(point: Point) -> dict[str, float | str]:
-    """Return the position of a point on every axis, with numbers as floats."""
+    """Return the value of each axis at a point, by name of the axis, with numbers as floats."""
     place: dict[str, float | str] = {
         "frequency_hz": point.frequency_hz,
         "gap_m": point.gap_m,
@@ -141,7 +148,7 @@ def _word(name: str, value: float | str) -> str:
 
 
 def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
-    """Return the reduction in percent and its standard uncertainty in points."""
+    """Return the reduction of DT at a point against no sphere in percent, and its standard uncertainty in points."""
     without = curves.at(NO_SPHERE, point.frequency_hz)
     assert without is not None
     found = reduction(without.rows, point.rows, calibration)
@@ -149,23 +156,31 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 
 
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
-    """Draw DT along the continued motions of the model, with the measurements at the same places.
+    """Draw DT along continued branches of the model's motions, with the measurements at the same values.
 
-    Raises: ConfigError: the motions belong to another rig, or the branches are over a parameter that a report does not
-    show.
+    Args:
+        name: name of the figure.
+        study: branches that `impact-rig dynamics continue` computed.
+        points: points of the campaign.
+        config: configuration of the campaign's rig.
+
+    Raises:
+        ConfigError: the branches belong to another rig, or are over a parameter that a report does not show.
     """
     plan = study.plan
     others = {"barriers.gap_m", "sphere.start", "sphere.present"}
     ours, theirs = to_flat(config), to_flat(plan.base)
     for key in ours:
         if ours[key] != theirs[key] and key not in others and not key.startswith(OF_INSTRUMENTS):
-            raise ConfigError(f"the branches are of another rig: {key} {theirs[key]}, in the campaign {ours[key]}")
+            raise ConfigError(
+                f"the branches belong to another rig: its {key} is {theirs[key]}, but {ours[key]} in the campaign"
+            )
     task = plan.tasks[0]
     held = {
         "frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m,
     }  # fmt: skip
     if plan.over not in held:
-        raise ConfigError(f"branches over {plan.over}: a report shows those over {', '.join(held)}")
+        raise ConfigError(f"branches over {plan.over} cannot be shown in a report, only over {', '.join(held)}")
     del held[plan.over]
     at = [
         p for p in points
@@ -199,7 +214,7 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
 
 @attrs.frozen(eq=False)
 class Stretch:
-    """A continuous line; every attribute has the shape (n,)."""
+    """Part of a predicted curve without interruption; every attribute has the shape (n,)."""
 
     frequency_hz: NDArray[np.float64]  # ascending
     dt: NDArray[np.float64]  # transmissibility
@@ -209,11 +224,13 @@ class Stretch:
 def predicted(
     config: RigConfig, gap_m: float, frequencies_hz: NDArray[np.float64], current_a: float
 ) -> Sequence[Stretch]:
-    """Return the prediction for a gap, or `NO_SPHERE`, at constant current; empty if no theory applies.
+    """Return the predicted DT and phase over the frequency for a gap at constant current, as continuous parts.
+
+    Without sphere it is the closed form, else the stable motions with two impacts per cycle; empty if neither applies.
 
     Args:
         config: configuration of the rig, whose own gap is ignored.
-        gap_m: gap [m].
+        gap_m: gap [m], or `NO_SPHERE`.
         frequencies_hz: ascending frequencies, shape (n,).
         current_a: peak current [A].
     """
@@ -251,7 +268,7 @@ def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float)
 
 
 def _lasting(branch: prediction.Branch) -> Sequence[Stretch]:
-    """Return the stretches of a branch whose motion is stable."""
+    """Return the parts of a branch on which the motion is stable, each with at least two points."""
     stable = np.flatnonzero(branch.stable)
     runs = np.split(stable, np.flatnonzero(np.diff(stable) > 1) + 1)
     return [Stretch(branch.frequency_hz[i], branch.dt[i], branch.phase_rad[i]) for i in runs if len(i) > 1]
