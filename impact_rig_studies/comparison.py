@@ -56,10 +56,13 @@ from impact_rig_studies.identification.fit import Identified, identify, logarith
 from impact_rig_studies.identification.measurements import Gains, Measured, reduced_of, sine_of
 
 DRIVES = {"current": ("current", CURRENT), "base": ("prescribed", BASE)}
-"""Possible drives of the model: `drive.kind`, and the channel."""
+"""Measured quantity that can drive the model -> its `drive.kind`, and the channel that measures the quantity."""
 STREAM_HZ = 10_000
 BAND_HZ, BAND_SHARE = 300.0, 0.4
-"""Upper band edge of a measured drive: this frequency, or this share of its rate. Beyond it is noise."""
+"""Frequency [Hz], and share of the scan rate: the lower of the two is the upper edge of a measured drive's band.
+
+What a sensor shows above it is noise.
+"""
 FADE = 0.8  # fraction of the band at which its edge begins to fall
 # lower band edge of the motion from velocities and accelerations, as a fraction of the drive frequency
 LOWEST_SHARE = 0.3
@@ -68,9 +71,9 @@ MIRRORED_S = 0.5
 FORGOTTEN = 7.0  # time constants of the structure before the first scan: e⁻⁷ is 0.1 %
 LONGEST_LEAD_S, RISE_S = 120.0, 1.0
 FIRST_CYCLES, ALIKE = 4, 0.02
-"""Number of cycles of the drive.
+"""Number of drive cycles at the start of a record, and the relative change of the structure's motion to the next ones.
 
-Relative change of the structure's motion between them and the next ones that counts as none.
+With a smaller change the motion counts as steady.
 """
 SHORTEST = 4  # scans of a stretch through which a cubic can be drawn; in a shorter one the model rests
 TICKS_AT_ONCE = 50
@@ -120,7 +123,7 @@ class Comparison:
     excerpt: Excerpt  # the last settled measurement; laser, base and current of its scans are corrected for lag
     model: NDArray[np.void]  # scans of the model at the times of the excerpt, same shape
     constants: Identified | None
-    """Constants that fit these measurements best; None if no fit was requested, or for the reasons in `missing`."""
+    """Constants of the rig that fit these measurements best; None if no fit was requested, or `missing` prevents it."""
     missing: tuple[str, ...] = ()  # measurements that a requested fit needs and the run does not have
 
     @property

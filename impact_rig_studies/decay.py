@@ -53,7 +53,7 @@ MIN_SAMPLES_PER_CYCLE = 5  # number of columns of a cycle's fit without harmonic
 LINE_FACTOR = 20.0  # factor by which a line exceeds the largest expected noise line to count as a vibration
 SIGNAL_FACTOR = 10.0  # amplitude of a cycle, in standard uncertainties, from which its logarithm is used
 DIFFERENT = 6.0
-"""Difference of the rates of the two halves, in standard uncertainties, from which a decay is not exponential."""
+"""Difference of the decay rates of a record's two halves, in standard uncertainties, above which it is rejected."""
 ITERATIONS = 50
 CONVERGED = 1e-10
 REASONS = {

@@ -35,16 +35,16 @@ Tables = Mapping[str, Callable[[str], Columns]]
 
 
 def map_points(directory: Path) -> Tables | None:
-    """Return the function for the table of the map in a directory, by name; None if the directory holds no map."""
+    """Return the table of the map in a directory, as `points`; None if the directory contains no map."""
     if not maps.store(directory).file.exists():
         return None
     return {POINTS: lambda _suffix: by_columns(*maps.table(maps.open_map(directory)))}
 
 
 def study_rows(directory: Path) -> Tables | None:
-    """Return the functions for the tables of the dynamics studies in a directory; None if it holds none.
+    """Return the tables of the dynamics studies in a directory, by kind of study; None if it contains none.
 
-    Each kind of study is one table with the name of the kind. A single table can also be exported as `points`.
+    A single table can also be exported as `points`.
     """
     if not dynamics.store(directory).file.exists():
         return None
@@ -57,7 +57,10 @@ def study_rows(directory: Path) -> Tables | None:
 
 
 def campaign_points(directory: Path) -> Tables | None:
-    """Return the function for the table of the campaign in a directory, by name; None if it holds no campaign."""
+    """Return the table of the campaign in a directory, as `points`; None if the directory contains no campaign.
+
+    For a universal file (`.uff`) the columns are those of DT over the frequency, else those of `points.csv`.
+    """
     if not (directory / CAMPAIGN_FILE).exists():
         return None
 

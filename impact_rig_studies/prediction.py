@@ -90,7 +90,10 @@ from impact_rig.physics.linear import Constants, MechanicsSetup, constants, sphe
 from impact_rig.physics.linear_response import transmissibility
 
 THETA_SYMMETRIC = math.pi**2 / (math.pi**2 - 4.0)
-"""Largest Θ of stable symmetric motion for any e, without recoil."""
+"""Largest Θ (amplitude of the sphere over half the gap) of a stable symmetric motion, for any restitution.
+
+It is that without recoil of the structure.
+"""
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -178,9 +181,9 @@ class Manifold:
 
 
 POINTS = 2000
-"""Values of Θ along a branch."""
+"""Number of motions along a branch, each with its value of Θ."""
 BEYOND = 1.5
-"""Factor of Θ by which a branch is continued beyond the bound of the symmetric motion, where it is unstable."""
+"""Largest Θ of a branch over `THETA_SYMMETRIC`: beyond that bound the motions are unstable."""
 _NEAR_FOLD = 1e-9  # relative distance of Θ from the fold, where slopes are infinite
 PAIRED = 1e-6  # imaginary share of a multiplier from which it is one of a pair
 STABLE, FOLD, SYMMETRY, TORUS = "stable", "fold", "symmetry", "torus"

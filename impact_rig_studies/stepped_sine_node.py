@@ -151,7 +151,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._scans = None
 
     def rig_time_ns(self) -> int | None:
-        """Return the newest rig time received."""
+        """Return the newest rig time received from the rig [ns]; None before the first message."""
         return self._now_ns
 
     def doing(self) -> NodeState:
@@ -219,7 +219,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     def _missing(self) -> str:
         """Return the first missing requirement for a sweep, as a text for the user; empty when a sweep can start."""
         if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
-            return "no rig subscribes to the shaker's topics"
+            return f"no rig subscribes to {topics.FREQUENCY.name} and {topics.CURRENT.name}"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
                 return f"nothing received on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
@@ -247,7 +247,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Interface of the operator
 
     def now_ns(self) -> int:
-        """Return the newest rig time received."""
+        """Return the newest rig time received from the rig [ns]; 0 before the first message."""
         return self._now_ns or 0
 
     def _drive(self, setpoint: Setpoint) -> None:
@@ -275,9 +275,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Messages
 
     def _follow(self, topic: topics.Topic, callback: Callable[[Operator[ControllerRun], Table], None]) -> Any:
-        """Subscribe to a topic of tables during a sweep, and return the subscription.
+        """Subscribe to a topic of tables, and return the subscription.
 
-        `callback` receives the operator of the running sweep, and each table with a stamp after the sweep's start.
+        `callback` receives the operator of a running sweep, and each table with a stamp since the sweep's start.
         """
 
         def take(table: Table) -> None:

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Readers for the values of a campaign file: lists, ranges and gaps, with errors that name key, value and range."""
+"""Readers for the values in the file of a campaign, map or dynamics study: lists, ranges, gaps.
+
+Their errors name key, value and range; the argument `key` is the name of the value in these messages.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ def wrong(key: str, rule: str, value: object) -> ConfigError:
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
-    """Reject a part of a campaign file, found under `key`, with keys other than the known ones.
+    """Reject a mapping of a study's file, found under `key`, with keys other than the known ones.
 
     Raises:
         ConfigError: a key is unknown; the message names the first such key and all known ones.
@@ -54,7 +57,7 @@ def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> N
 
 
 def number(key: str, value: object, low: float, high: float = math.inf) -> float:
-    """Check a number in (low, high] and return it.
+    """Return the value found under `key` of a study's file, which must be a number > low and <= high.
 
     Raises:
         ConfigError: the value is not a number, or is out of range.
@@ -67,7 +70,7 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
 
 
 def whole(key: str, value: object, low: int, high: int) -> int:
-    """Check an integer in [low, high] and return it.
+    """Return the value found under `key` of a study's file, which must be an integer >= low and <= high.
 
     Raises:
         ConfigError: the value is not an integer, or is out of range.
@@ -78,7 +81,7 @@ def whole(key: str, value: object, low: int, high: int) -> int:
 
 
 def word(key: str, value: object, choices: Iterable[str]) -> str:
-    """Check that a value is one of `choices` and return it.
+    """Return the value found under `key` of a study's file, which must be one of `choices`.
 
     Raises:
         ConfigError: the value is not one of `choices`.
@@ -99,7 +102,7 @@ def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
 
 
 def mapping(key: str, value: object) -> dict[str, object]:
-    """Return a mapping with texts as keys; a missing value counts as empty.
+    """Return the value found under `key` of a study's file, which must be a mapping; None counts as empty.
 
     Raises:
         ConfigError: the value is not a mapping.
@@ -112,7 +115,7 @@ def mapping(key: str, value: object) -> dict[str, object]:
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the items of a list, of one value, or of `{from: a, to: b, step: s}`, without duplicates.
+    """Return the values found under `key` of a study's file: a list, a single value, or `{from: a, to: b, step: s}`.
 
     Raises:
         ConfigError: the list is empty or has duplicates, or the range is invalid.
@@ -146,7 +149,7 @@ def numbers(key: str, value: object, low: float, high: float = math.inf) -> tupl
 
 
 def gaps(key: str, value: object) -> tuple[float, ...]:
-    """Return gaps [m]; the word `none` becomes `NO_SPHERE`.
+    """Return the items of a value read by `values`, each of which must be a gap [m]; `none` becomes `NO_SPHERE`.
 
     Raises:
         ConfigError: a gap is not a number in (0, 1] m; with a gap of 0 both barriers would hold the sphere.
@@ -158,7 +161,10 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return configuration values of any scalar type; the configuration itself checks their ranges."""
+    """Return the items of a value read by `values`, each of which must be a number, a text, true or false.
+
+    They are values of the rig's configuration, which itself checks their ranges.
+    """
     found: list[Value] = []
     for i, item in enumerate(values(key, value)):
         if not isinstance(item, (bool, int, float, str)):
@@ -168,11 +174,11 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 
 
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
-    """Return the rig that a campaign file defines: its key `config` names a file, its key `set` changes values of it.
+    """Return the rig that a study's file defines: its key `config` names a file, its key `set` changes values of it.
 
     Args:
-        top: content of the campaign file.
-        folder: directory of the campaign file, to which the name in `config` is relative.
+        top: content of the study's file.
+        folder: directory of the study's file, to which the name in `config` is relative.
         refuse: function that raises for a value that must not be set; it receives key and dotted name of each.
 
     Raises:

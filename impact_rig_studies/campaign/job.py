@@ -49,7 +49,7 @@ from impact_rig_studies.operate.plans import Direction, SweepPlan
 from impact_rig_studies.operate.stepped_sine import SteppedSine, SweepState
 
 UPDATES_PER_S = 4
-"""Interval of rig time in which the operator reads the measurements and sends commands.
+"""Number of times per second of rig time at which the operator reads the measurements and sends commands.
 
 It is part of a job's definition, because in a sweep it determines when the next frequency begins.
 """
@@ -65,7 +65,7 @@ class Job:
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     analysis: Mapping[str, Value] = attrs.field(factory=dict)
-    """Settings of the measurement that differ from `TrackerSettings`."""
+    """Settings of the analysis that differ from the defaults of `TrackerSettings`."""
     gap_m: float  # operator's label: gap, or `NO_SPHERE`
     frequencies_hz: tuple[float, ...]
     direction: Direction = Direction.UP  # order of the points
@@ -86,7 +86,7 @@ class Job:
         return from_flat(config, {"daq.block_scans": scans})
 
     def settings(self) -> TrackerSettings:
-        """Return the settings of the measurement.
+        """Return the settings of the analysis that measures the job, such as when a response counts as settled.
 
         Raises:
             ConfigError: a value is wrong.
@@ -135,10 +135,10 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """Result of a job."""
+    """Result of measuring a job: its measurements, and why it failed if it did."""
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
-    """Accepted rows of `transmissibility/table`, in the order of measurement."""
+    """Measurements that the sweep accepted, in their order: rows of `transmissibility/table`."""
     failure: str = ""  # why the run did not finish; empty otherwise
     skipped_hz: tuple[float, ...] = ()  # points skipped because a sensor was over range
     simulated_s: float = 0.0

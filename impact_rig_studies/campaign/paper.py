@@ -42,12 +42,15 @@ FREQUENCY_HZ = 9.1  # frequency at which the paper compares the gaps: the natura
 FREQUENCIES_HZ = SweepPlan().frequencies_hz  # the paper's excitation frequencies
 
 CURRENT_A = SweepPlan().current_a
-"""Constant coil current, peak; identified: the superior base then moves about 5.85 mm at 9.1 Hz without the sphere."""
+"""Constant coil current of the paper's runs, peak [A]. The paper does not print it; it was chosen to match its results.
+
+The superior base then moves about 5.85 mm at 9.1 Hz without the sphere.
+"""
 
 REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
 """Published reduction of the transmissibility at 9.1 Hz compared with the run without the sphere, by gap [m]."""
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
-"""Largest distance from the paper's reductions, in points, for the shipped configuration: of each one, and rms."""
+"""Allowed difference from the paper's reductions in percentage points: of each one, and rms of all five."""
 DEMO_POINTS_LIMIT = 3.0  # the same for the demo, which measures each case twice
 
 
@@ -59,7 +62,7 @@ class Reductions:
     dt: Mapping[float, float]
     dt_uncertainty: Mapping[float, float]  # standard uncertainty of DT by gap; key `NO_SPHERE`: without the sphere
     percent_uncertainty: Mapping[float, float]
-    """Standard uncertainty of `percent` in points, by gap; see `impact_rig_studies.reduction`."""
+    """Standard uncertainty of the reduction (`percent`) in percentage points, by gap [m]."""
 
     @classmethod
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:

@@ -74,11 +74,11 @@ class Study:
     repetitions: int = 1
     traces: bool = False
     vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
-    """All other axes: configuration values by dotted name, including laws, restitutions, starts and seeds."""
+    """Values of the study's other axes, by dotted name of the configuration value that varies."""
 
     @property
     def points(self) -> int:
-        """Number of measurements, including repetitions."""
+        """Number of measurements that the study makes, including repetitions."""
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
         return self.repetitions * math.prod(map(len, axes))
 
@@ -170,7 +170,7 @@ class Campaign:
 def load_campaign(
     path: Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
 ) -> Campaign:
-    """Read the campaign in a YAML file.
+    """Return the campaign that a YAML file defines, after checking all its combinations of values.
 
     Args:
         path: path of the file.

@@ -39,7 +39,7 @@ NAN = math.nan
 SKIPPED = "over_range"
 NOT_REACHED = "not reached"
 IMPACTING = 0.1
-"""Impacts per cycle from which an orbit counts as impacting: a measurement contains a few stray impacts."""
+"""Impacts per cycle from which an orbit counts as impacting; a measurement may contain a few stray impacts."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -67,7 +67,7 @@ class Point:
 
     @property
     def dt(self) -> float:
-        """Transmissibility, mean of the repetitions."""
+        """Transmissibility DT: mean of the point's measurements; NaN without one."""
         return self._mean("transmissibility")
 
     @property
@@ -77,7 +77,10 @@ class Point:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of x_1 to x_b, of the first repetition (a mean of angles may be meaningless)."""
+        """Phase of the superior base relative to the inferior one, of the first measurement only.
+
+        A mean of angles may be meaningless.
+        """
         return float(self.rows["phase"][0]) if len(self.rows) else NAN
 
     @property
@@ -169,7 +172,7 @@ class Curves:
 
     @classmethod
     def of(cls, points: Iterable[Point]) -> Curves:
-        """Collect the curves out of all points."""
+        """Collect the settled points of the reference rig from all points of a campaign."""
         found: dict[float, dict[float, Point]] = {}
         for point in points:
             if point.reference and point.settled:

@@ -61,7 +61,10 @@ MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
 Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
-"""Way of measuring: a function that yields every job with its outcome, in any order."""
+"""Way of measuring jobs, such as in processes or through ROS: a function that yields each job with its outcome.
+
+The order is arbitrary.
+"""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -93,7 +96,7 @@ class Finished:
 
     @property
     def imported(self) -> bool:
-        """Return whether the points are measurements of an external rig."""
+        """Return whether the points were imported from measurements of another rig, and not simulated."""
         return (self.directory / CALIBRATION_FILE).exists()
 
     @property
@@ -117,7 +120,7 @@ class Finished:
 
     @property
     def calibration(self) -> Calibration:
-        """Calibration of the instruments by their certificate."""
+        """Calibration of the instruments that measured the points, as their certificate states it."""
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
@@ -126,7 +129,7 @@ class Finished:
 
 
 def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
-    """Return every job once; of one shared by several studies, the one with traces."""
+    """Return every job of a campaign once; of a job shared by several studies, the one that requests traces."""
     found: dict[str, Job] = {}
     for job in (one.job for one in planned):
         if job.key not in found or (job.traces and not found[job.key].traces):

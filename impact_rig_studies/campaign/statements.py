@@ -36,7 +36,10 @@ ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
 FAR_LIMIT_PERCENT = 6.0  # our interpretation of `tend to coincide`
 SHIFT_LIMIT_PERCENT = 1.0
-"""Interpretation of `virtually` unchanged. (The paper's 0.44 % are between its simulation and its experiment.)"""
+"""Largest shift of the peak, in percent, that we count as the paper's "virtually unchanged" natural frequency.
+
+The 0.44 % in the paper are the difference between its simulation and its experiment.
+"""
 # grid on which a peak is located; slightly more than 0.01 Hz because of the rounding of frequencies
 PEAK_STEP_HZ = 0.0101
 GAPS_M = tuple(REDUCTION_PERCENT)
@@ -201,7 +204,7 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
         "amplitudes_at_resonance",
         Worth.FIT,
         "-",
-        "There the base amplitude is smallest and the superior base's largest.",
+        f"At {FREQUENCY_HZ:g} Hz the base's amplitude is smallest and the superior base's largest.",
         _amplitudes_at_peak,
     ),
     (
@@ -247,7 +250,7 @@ class Variation:
     """Verdicts on the statements for one rig of a campaign, which may differ from the reference rig."""
 
     changed: Mapping[str, Value]
-    """The constants that differ from the campaign's reference rig, by dotted name; empty for that rig itself."""
+    """Values of the configuration that differ from the reference rig, by dotted name; empty for the reference rig."""
     verdicts: list[Verdict]
 
 

@@ -56,7 +56,7 @@ class DamagedPointError(RecordingError):
 
 
 class Store:
-    """Store of the results in a campaign's directory.
+    """Store of the outcomes of a campaign's jobs, one file each, in the campaign's directory.
 
     Args:
         directory: directory of the campaign; created if missing.
@@ -98,7 +98,7 @@ class Store:
         return outcome
 
     def put(self, job: Job, outcome: Outcome) -> None:
-        """Store the outcome of a job.
+        """Write the outcome of a job, with its trace, into the job's file; an earlier outcome is replaced.
 
         Raises:
             RecordingError: the result cannot be written.
@@ -206,7 +206,11 @@ class _Checked:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return the number under a key, which must be at least `low`, or greater if `above`."""
+        """Return the number under a key, which must be at least `low`, or greater if `above`.
+
+        Raises:
+            DamagedPointError: it is missing, not a number, or out of range.
+        """
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
             raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")

@@ -67,7 +67,7 @@ class HashedTask:
 
 
 class Task(WorkItem, Protocol):
-    """Task whose result is stored as rows."""
+    """Task of a map or dynamics study, whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
         """Return rows read from a file as they were measured, after checking them.
@@ -81,7 +81,10 @@ K = TypeVar("K")
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
-"""Way of measuring: a function that yields every task with its rows, in any order."""
+"""Way of measuring tasks, such as in processes or on a cluster: a function that yields each task with its rows.
+
+The order is arbitrary.
+"""
 
 
 @attrs.frozen
@@ -113,7 +116,7 @@ class TaskStore(Generic[T]):
             files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
 
     def configuration(self) -> RigConfig:
-        """Return the rig of an existing directory.
+        """Return the configuration of the rig that the study in this directory belongs to.
 
         Raises:
             ConfigError: the directory is not that of such a study.
@@ -143,7 +146,7 @@ class TaskStore(Generic[T]):
             return None
 
     def put(self, task: T, rows: Sequence[Row]) -> None:
-        """Store the rows of a task.
+        """Write the rows that a task resulted in into the task's file.
 
         Raises:
             RecordingError: the result cannot be written.

@@ -44,7 +44,7 @@ SHOWN = 20  # largest number of failing points that are printed; the CSV contain
 
 
 def run_campaign(arguments: argparse.Namespace) -> int:
-    """Run the command `campaign`, and return its exit code.
+    """Measure the missing points of a campaign file, write and print all results, and return the exit code.
 
     With `--check` the code is 1 if a point failed, a statement failed, or the reductions are too far from the paper.
     """
@@ -53,7 +53,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     campaign = load_campaign(file, {name: value for name, value in overrides.items() if value is not None})
     chosen = campaign.only(tuple(arguments.only)) if arguments.only else campaign
     if arguments.record and way != "ros":
-        raise ConfigError("--record needs --through ros, because messages are recorded")
+        raise ConfigError("--record needs --through ros, because it records the messages of ROS nodes")
     console = Console(quiet=arguments.json)
     started = time.monotonic()
     jobs = run.unique_jobs(chosen.planned())
@@ -81,7 +81,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     _print_margins(console, variations(done.points))
     _print_failed(console, done)
     _print_quiet(console, done)
-    console.print(f"{len(done.points)} points; figures for programs: {run.CSV_FILE}, summary.json")
+    console.print(f"{len(done.points)} points; results for programs: {run.CSV_FILE}, summary.json")
     tell_results(directory, _content(done), as_json=arguments.json)
     sound = close and not done.failed() and all(verdict.word != "FAIL" for verdict in verdicts)
     return 1 if arguments.check and not sound else 0
@@ -173,7 +173,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
     if not varied:
         return
     table = TextTable(
-        "The figure of each statement on rigs that differ in one constant",
+        "Deciding value of each statement on rigs that differ in one constant",
         left=("rig", *(str(number) for number in range(1, len(varied[0].verdicts) + 1))),
     )
     for one in varied:
@@ -205,7 +205,7 @@ def _print_failed(console: Console, done: run.Finished) -> None:
 
 
 def run_report(arguments: argparse.Namespace) -> int:
-    """Run the command `report`: write the page, print its path, and return the exit code, 0."""
+    """Write the report of a campaign or run, print the path of the page, and return the exit code, 0."""
     from impact_rig_studies.report import build_report  # noqa: PLC0415  # loads SciPy, which no other command needs
 
     path = build_report(

@@ -37,7 +37,7 @@ FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
-    """Run the command `compare`, and return its exit code, 0."""
+    """Compare a recorded or imported run with the model, print and draw the result, and return the exit code, 0."""
     from impact_rig.rig.config import load_config  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 

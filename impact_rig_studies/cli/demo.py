@@ -57,7 +57,7 @@ LINEAR_LIMIT = 0.02
 
 
 RUNS = {NO_SPHERE: "no_sphere", **{gap_m: f"gap_{gap_m * 1e3:g}mm" for gap_m in paper.REDUCTION_PERCENT}}
-"""Name of the run's directory, by gap [m]."""
+"""Name of the directory into which a gap [m] is recorded."""
 
 
 def run_demo(arguments: argparse.Namespace) -> int:
@@ -113,7 +113,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     failed = [name for name, statement in statements.items() if not statement.passed]
     if failed:
         console.print(f"these checks failed: {', '.join(failed)}", style="red")
-    console.print(f"figure: reductions.png, figures for programs: summary.json, runs: {', '.join(RUNS.values())}")
+    console.print(f"figure: reductions.png; results for programs: summary.json; runs: {', '.join(RUNS.values())}")
     summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
     tell_results(directory, {"runs": list(RUNS.values()), **summary}, as_json=arguments.json)
     return 1 if failed else 0
@@ -210,7 +210,7 @@ def _new_directory(wanted: Path | None) -> Path:
     try:
         files.make_folder(directory)
     except OSError as error:
-        raise ImpactRigError(f"{directory} cannot be made: {error.strerror}") from error
+        raise ImpactRigError(f"cannot create {directory}: {error.strerror}") from error
     return directory
 
 
@@ -229,4 +229,5 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
             f"{paper.REDUCTION_PERCENT[gap]:.1f}", figure(errors[gap], "+.1f"),
         )  # fmt: skip
     console.print(table)
-    console.print(f"largest difference {reductions.max_abs_error():.1f} points, rms {reductions.rms_error():.1f}")
+    largest, rms = reductions.max_abs_error(), reductions.rms_error()
+    console.print(f"difference from the paper: largest {largest:.1f} points, rms {rms:.1f} points")

@@ -81,7 +81,10 @@ def _job(arguments: argparse.Namespace) -> Job:
 
 
 def run_hold(arguments: argparse.Namespace) -> int:
-    """Run the test `drive hold`, and return the exit code: 1 if a frequency is missing or an amplitude was not held."""
+    """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
+
+    The code is 1 if a frequency was not measured, or the amplitude was not held at one.
+    """
     unit = HELD_UNITS[arguments.what]
     try:
         target = positive(unit).number(arguments.target)
@@ -93,7 +96,7 @@ def run_hold(arguments: argparse.Namespace) -> int:
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
-    """Run the test `drive sweep`, and return the exit code: 1 if a frequency was not measured."""
+    """Measure DT over the frequency at constant current; return the exit code: 1 if a frequency was not measured."""
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
 
@@ -145,7 +148,10 @@ def _texts(row: np.void) -> list[object]:
 
 
 def run_lock(arguments: argparse.Namespace) -> int:
-    """Run the test `drive lock`, and return the exit code: 1 if the resonance was not locked long enough for a mean."""
+    """Find a resonance by its phase, track it and measure DT there, and return the exit code.
+
+    The code is 1 if the resonance was not locked, or not long enough for a mean with its uncertainty.
+    """
     config, _ = rig_of(arguments)
     plan = LockPlan(
         start_hz=arguments.start, current_a=arguments.current, reference=arguments.reference, dwell_s=arguments.dwell
@@ -188,7 +194,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
 
 
 def run_backbone(arguments: argparse.Namespace) -> int:
-    """Run the test `drive backbone`, and return the exit code: 1 if it ended early."""
+    """Find the resonance at each of several currents, up and down; return the exit code: 1 if the test ended early."""
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:

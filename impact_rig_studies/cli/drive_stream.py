@@ -42,7 +42,7 @@ Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig an
 
 
 def run_play(arguments: argparse.Namespace) -> int:
-    """Run the test `drive play`, and return the exit code: 1 if it ended early."""
+    """Drive the rig with a signal of a file or run; return the exit code: 1 if it ended early or has no result."""
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -62,7 +62,10 @@ def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -
 
 
 def run_frf(arguments: argparse.Namespace) -> int:
-    """Run the test `drive frf`, and return the exit code: 1 if it ended early or the response is only noise."""
+    """Measure a frequency response with noise or a chirp, and return the exit code.
+
+    The code is 1 if the test ended early, or the response is only noise.
+    """
     from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
     from impact_rig_studies.excitation.response import measure  # noqa: PLC0415
     from impact_rig_studies.excitation.signals import Excitation  # noqa: PLC0415
@@ -84,7 +87,10 @@ def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
 
 
 def run_random(arguments: argparse.Namespace) -> int:
-    """Run the test `drive random`, and return the exit code: 1 if it ended early or has no result."""
+    """Shake the rig with noise of a requested power spectral density, and return the exit code.
+
+    The code is 1 if the test ended early or has no result.
+    """
     from impact_rig_studies.excitation.random import RandomPlan, control  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, RandomPlan)
@@ -93,7 +99,10 @@ def run_random(arguments: argparse.Namespace) -> int:
 
 
 def run_replicate(arguments: argparse.Namespace) -> int:
-    """Run the test `drive replicate`, and return the exit code: 1 if it ended early or has no result."""
+    """Make a motion of the rig follow a signal of a file or run, and return the exit code.
+
+    The code is 1 if the test ended early or has no result.
+    """
     from impact_rig_studies.excitation.history import ReplicatePlan, replicate  # noqa: PLC0415  # scipy
 
     plan = _plan(arguments, ReplicatePlan)
@@ -104,7 +113,10 @@ def run_replicate(arguments: argparse.Namespace) -> int:
 
 
 def run_shock(arguments: argparse.Namespace) -> int:
-    """Run the test `drive shock`, and return the exit code: 1 if it ended early or has no result."""
+    """Make the base follow a half-sine pulse of acceleration, and return the exit code.
+
+    The code is 1 if the test ended early or has no result.
+    """
     from impact_rig_studies.excitation.shock import Pulse, shock  # noqa: PLC0415  # scipy
 
     pulse = _plan(arguments, Pulse)

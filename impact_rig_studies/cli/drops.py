@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig analyze --drop`: the coefficient of restitution from the drops that are noted in a run."""
+"""Command `impact-rig analyze --drop`: the coefficient of restitution from the drop tests noted in a run."""
 
 from __future__ import annotations
 

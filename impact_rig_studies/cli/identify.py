@@ -61,7 +61,10 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
 def run_identify(arguments: argparse.Namespace) -> int:
-    """Run the command `identify`, and return its exit code, 0."""
+    """Fit constants of the rig to a campaign or to the paper's numbers, print them, and return the exit code, 0.
+
+    Those of a campaign are also written into its directory.
+    """
     console = Console(quiet=arguments.json)
     if arguments.paper:
         base = load_config(arguments.config) if arguments.config else RigConfig()

@@ -36,7 +36,10 @@ if TYPE_CHECKING:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Run the command `import`, and return its exit code, 0; errors are raised, and then nothing is written."""
+    """Import files as runs, or as one campaign, print how, and return the exit code, 0.
+
+    If a file is rejected, the error is raised, and nothing is written.
+    """
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.conversion import convert  # noqa: PLC0415  # as above
@@ -179,7 +182,7 @@ def _print(console: Console, found: ImportedRun) -> None:
         console.print(f"... and {len(found.drive) - 10} further settings of the drive")
     labels = [label for label in map(parse_label, found.labels) if label]
     for label in labels:
-        console.print(f"from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s: {case_of(label.gap_m)}")
+        console.print(f"label from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s on: {case_of(label.gap_m)}")
     if not labels:
         console.print("gap: unknown (--gap 6mm, or --gap none without the sphere)", style="yellow")
     for text in found.labels:

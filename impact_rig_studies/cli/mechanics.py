@@ -40,13 +40,16 @@ SHOWN = {
     plans.CONTINUE: ("event", "dt", "impacts_per_cycle", "loss_factor", "multiplier_real", "multiplier_imag"),
     plans.EXPONENT: plans.COLUMNS[plans.EXPONENT][1:],
 }
-"""Columns that the terminal shows after the parameter; for a branch only at special points."""
+"""Columns of a study's rows that the terminal shows after the parameter, by kind of study."""
 MOST_ROWS = 40
 EXPONENTS = "exponents"  # folder of the exponents in a map's directory
 
 
 def run_map(arguments: argparse.Namespace) -> int:
-    """Run the command `map`, and return its exit code: 1 if no point of the map could be resolved."""
+    """Compute the missing points of a map file, write, draw and print the map, and return the exit code.
+
+    The code is 1 if the motion could not be resolved at any point.
+    """
     file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
@@ -73,9 +76,14 @@ def run_map(arguments: argparse.Namespace) -> int:
         folder = tasks.figures_folder(arguments, directory)
         for drawn in heat_maps(done):
             drawn.save(folder, arguments.formats)
-    console.print(f"{plan.points} points on the mechanics, {measured} of them now; {run.CSV_FILE}, {run.JSON_FILE}")
+    console.print(
+        f"{plan.points} points of the mechanics without instruments, {measured} of them computed now; results in "
+        f"{run.CSV_FILE} and {run.JSON_FILE}"
+    )
     if unsolved == plan.points:
-        console.print(f"none of the {plan.points} points could be resolved: there is no result", style="red")
+        console.print(
+            f"the motion could not be resolved at any of the {plan.points} points: there is no result", style="red"
+        )
     tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
     return 1 if unsolved == plan.points else 0
 
@@ -125,7 +133,10 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
 
 
 def run_dynamics(arguments: argparse.Namespace) -> int:
-    """Run the command `dynamics`, and return its exit code: 1 if no row of the result could be resolved."""
+    """Compute the missing tasks of a dynamics study, write, draw and print its rows, and return the exit code.
+
+    The code is 1 if no row could be resolved.
+    """
     kind = arguments.kind
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
     runner = tasks.runner(plans.run, address, arguments.workers)
@@ -147,10 +158,12 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
 
         drawn(plan, done.found).save(tasks.figures_folder(arguments, directory), arguments.formats)
     _show(console, plan, rows)
-    console.print(f"{len(rows)} rows on the mechanics; {kind}.csv, {kind}.json")
+    console.print(f"{len(rows)} rows of the mechanics without instruments; results in {kind}.csv and {kind}.json")
     empty = _unsolved(plan, rows) == len(rows)
     if empty:
-        console.print(f"none of the {len(rows)} rows could be resolved: there is no result", style="red")
+        console.print(
+            f"the motion could not be resolved for any of the {len(rows)} rows: there is no result", style="red"
+        )
     tell_results(directory, content, as_json=arguments.json)
     return 1 if empty else 0
 

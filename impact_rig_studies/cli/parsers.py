@@ -167,7 +167,7 @@ def add_import(commands: Commands) -> None:
 
 
 def add_drive(commands: Commands) -> None:
-    """Register `drive` and its tests, in the order of the help."""
+    """Register the command `impact-rig drive` with a subcommand for each of its tests, in the order of the help."""
     parser = subcommand(
         commands, "drive", None, "drive a rig: signals, sine sweeps, controlled amplitudes, resonances, shocks",
         [
@@ -191,7 +191,7 @@ def add_drive(commands: Commands) -> None:
 RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
 PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: built-in settings)"
 EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
-"""Option of `frf` -> setting of its excitation."""
+"""Option of `drive frf` -> attribute of `signals.Excitation` that it sets."""
 
 
 SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}

@@ -177,6 +177,6 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
 
 
 def _longest(text: str, signals: AnyMapping[str, Signal]) -> str:
-    """Return the longest name of a signal at the start of a text, or else its first word."""
+    """Return the longest name of a signal with which the text of an option begins, or else the text's first word."""
     matching = [name for name in signals if text == name or text.startswith((f"{name} ", f"{name},"))]
     return max(matching, key=len) if matching else re.split(r"[\s,]", text, maxsplit=1)[0]

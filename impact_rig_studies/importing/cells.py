@@ -33,10 +33,10 @@ _NOT_A_NUMBER = frozenset({
     "-", "--", "---", ".", "?",
     "ol", "ovl", "ovld", "ovfl", "over", "overload", "overflow", "overrange", "underflow", "under",
 })  # fmt: skip
-"""Cells for a missing number, in lower case: empty ones, and the output of C libraries and spreadsheets."""
+"""Texts of cells that mean a missing number, in lower case: empty ones, and output of libraries or instruments."""
 _INFINITE = re.compile(r"([+-]?)(?:inf(?:inity)?|∞|1\.#inf\d*)", re.ASCII)
 _OTHER_NAN = re.compile(r"[+-]?(?:nan(?:\(\w*\))?|1\.(?:#[a-z]+\d*|\$))|\*+", re.ASCII)
-"""NaN with a payload, a number too wide for its column, and the output of Microsoft's library: `1.#QNAN`, `1.$`."""
+"""Pattern of further texts for a missing number: NaN with a payload, `***`, and Microsoft's `1.#QNAN` and `1.$`."""
 SCPI_NAN, SCPI_INFINITY = 9.91e37, 9.9e37  # of instruments (SCPI 1999.0, section 7.2.1.4 and 7.2.1.5)
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ '.,\u00a0\u202f\u2019]\d{3})+(?:[.,]\d*)?", re.ASCII)
 _SPACES = str.maketrans("", "", " '\u00a0\u202f\u2019")
@@ -102,7 +102,7 @@ _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8,
     "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
 }  # fmt: skip
-"""Months by their first three letters, English and German."""
+"""Number of a month by the first three letters of its name, in English and German."""
 _FRACTION = r"(?:[.,:](?P<fraction>\d{1,12}))?"
 _END = r" ?(?:(?P<half>[AaPp])\.?[Mm]\.?)? ?(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?"
 _CLOCK = rf"(?P<hour>\d{{1,2}}):(?P<minute>\d{{2}})(?::(?P<second>\d{{2}}){_FRACTION})?{_END}"
@@ -124,7 +124,7 @@ _TIMES = (
     re.compile(r"(?P<day>\d{1,2})[-./ ]{1,2}" + _NAME + r"[-./, ]{1,2}(?P<year>\d{4}|\d{2})" + _LATER, re.ASCII),
     re.compile(_NAME + r"[. ]{1,2}(?P<day>\d{1,2}),? (?P<year>\d{4})" + _LATER, re.ASCII),
 )  # fmt: skip
-"""Notations of dates, times of day, durations, and dates with a time of day."""
+"""Patterns of the notations of dates, times of day, durations, and dates with a time of day."""
 _DAY_NS = 86_400 * NS_PER_S
 _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()
 

@@ -30,7 +30,7 @@ TIME_NAMES = frozenset({
     "usec",
     "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp", "tout", "время",
 })  # fmt: skip
-"""Names of columns of times, in lower case, letters only."""
+"""Names of columns that contain times, in lower case, letters only."""
 DATE_NAMES = frozenset(
     {"date", "datum", "datetime", "dateandtime", "zeitstempel", "datumuhrzeit", "timestamp", "datetimestamp"}
 )

@@ -36,7 +36,7 @@ from impact_rig_studies.importing.limits import WORKING_BYTES, WORKING_PER_BYTE
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Real, Signal, SignalKind
 
 LIMIT_S, LIMIT_PER_MIB_S = 8.0, 2.0
-"""Limit of a reader's computing time: a constant, and an amount per MiB of its file."""
+"""Limit of a reader's computing time [s]: a constant part, and a part per MiB of its file."""
 READ_BYTES = 2**20
 _REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
 

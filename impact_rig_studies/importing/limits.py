@@ -22,9 +22,9 @@ VALUES = 120_000_000  # in all signals of a file together: 20 minutes of five ch
 COLUMNS = 4096  # of one file; Rattlesnake, the widest source known, has some hundred channels
 WORKING_BYTES = 160 * budget.MIB
 WORKING_PER_BYTE = 12
-"""Memory for reading a file beyond that of the process: a constant, and an amount per byte of the file."""
+"""Memory that reading a file may use in addition [bytes]: a constant part, and a part per byte of the file."""
 EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
-"""Size of the numbers in a file after decompression: a constant, and an amount per byte of the file."""
+"""Allowed size of a file's numbers after decompression [bytes]: a constant part, and a part per byte of the file."""
 
 
 def allow_columns(count: int) -> None:

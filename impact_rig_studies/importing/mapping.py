@@ -36,9 +36,9 @@ MAPPING_CHARACTERS = 100_000
 _MOTION = ("m", "m/s", "m/s^2")
 USUAL = {"accelerometer": "g", "laser": "mm", "base": "g", "current": "A"}  # units in examples of a sensitivity
 UNITS = {"accelerometer": ("m/s^2",), "laser": _MOTION, "base": _MOTION, "current": ("A",)}
-"""SI units that a channel may have: structure and base move in displacement, velocity or acceleration."""
+"""SI units that a channel may have; laser and base may be displacements, velocities or accelerations."""
 OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
-"""Another unit of each quantity, as an example for messages."""
+"""SI unit -> another unit of its quantity, as an example in messages."""
 
 
 @attrs.frozen(kw_only=True)
@@ -52,7 +52,7 @@ class Channel:
     sign: float = 1.0  # -1 for a sensor mounted the other way round
     offset: float = 0.0  # added at the end [SI unit]
     calibration: AnyMapping[str, float] = attrs.field(factory=dict)
-    """Columns of `daq/info` by name: range, noise, resolution, lag, skew, uncertainties."""
+    """Stated properties of the instrument: columns of `daq/info` by name, such as range, noise, lag, uncertainties."""
 
     def to_si(self, name: str) -> tuple[float, str]:
         """Return the factor that converts values of the signal to SI for the channel `name`, and the SI unit.
@@ -106,10 +106,10 @@ class Mapping:
     rate_hz: float | None = None  # rate, if the file has neither times nor a rate
     resample_hz: int | None = None  # rate for scans that are not uniform in time; None means that they are rejected
     frequency: float | str | None = attrs.field(default=None, validator=_above_zero)
-    """Drive frequency [Hz], or name of its signal; None means that it is measured from the base."""
+    """Drive frequency [Hz], or name of the signal with it; None means that it is found in the measured motion."""
     amplitude: float = math.nan  # commanded amplitude [A], for a prescribed base [m]; NaN means that it is measured
     gap: float | str | None = attrs.field(default=None, validator=_not_negative)
-    """Gap label [m], 0 without sphere, or name of its signal [m]; None if unknown."""
+    """Gap [m], 0 without sphere, or name of the signal with it [m]; None if unknown."""
     notes: tuple[str, ...] = ()  # remarks for the run
     guessed: frozenset[str] = attrs.field(default=frozenset(), eq=False)
     """Those of the fields frequency and gap that are only guessed from the name of the file, and not stated."""
@@ -182,7 +182,7 @@ def as_yaml(mapping: Mapping) -> str:
 
 
 _WHOLE_BY_POWER = re.compile(r'("(?:[^"\\]|\\.)*")|(?<![\d.])(\d+)e')
-"""A text, or the start of a number such as 1e-06: JSON writes it without a point, and YAML reads that as text."""
+"""Pattern of a quoted text, or of the start of a number such as 1e-06, which needs a point to be a number in YAML."""
 
 CALIBRATION = tuple(column.name for column in DAQ_INFO_COLUMNS if column.name not in ("name", "unit", "rate"))
 _OWN = ("column", "unit", "scale", "sensitivity", "sign", "offset")

@@ -40,12 +40,12 @@ EVEN = 0.02  # of a period: departure from a uniform grid that counts as jitter 
 HOLE = 2.5  # in periods: a step this long between two scans is no unevenness; scans are missing there
 STATED = 0.5  # of a period: departure of listed times from the rate that the same file states
 CLOCKS_HZ = (51_200.0, 102_400.0, 204_800.0, 65_536.0, 131_072.0, 48_000.0, 96_000.0, 44_100.0, 50_000.0, 100_000.0)
-"""Rates that data acquisition boards divide by whole numbers."""
+"""Rates [Hz] of the clocks of data acquisition boards, which divide them by whole numbers."""
 LARGEST_DIVISOR = 4096
 EXACT = 1e-9  # relative uncertainty of a rate that is written with all its digits
 DECIMALS = 9
 RESAMPLED_VALUES, RESAMPLED_PER_VALUE = 500_000, 20
-"""Values that resampling may make: so many, or so many per value of the file."""
+"""Largest number of values after resampling: in total, or per value of the file if that is more."""
 MOSTLY = 0.9
 FEWEST = 2  # scans that several time bases must have in common
 Rate = int | float  # scans per second: int for a whole number

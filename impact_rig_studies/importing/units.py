@@ -80,7 +80,7 @@ _CAPITALS = {
     "MM": _Size(1e-3, _METRE), "CM": _Size(1e-2, _METRE), "UM": _Size(1e-6, _METRE), "MS": _Size(1e-3, _SECOND),
     "M": _BASE["m"], "S": _BASE["s"], "MV": _Size(1e-3, _VOLT), "MA": _Size(1e-3, _AMPERE),
 }  # fmt: skip
-"""Units that some loggers print in capitals."""
+"""Units that some data loggers print in capitals."""
 _OTHER_MEANING = ("H", "Mg", "MG", "In")  # henry, megagram; words of headings
 _OTHER_UNITS = frozenset({
     "°", "deg", "degree", "degrees", "rad", "n", "kn", "pa", "kpa", "mpa", "bar", "psi", "%", "db", "k", "°c", "rpm",
@@ -88,7 +88,7 @@ _OTHER_UNITS = frozenset({
     "-", "w", "j", "kg", "nm", "lbf", "counts", "count", "raw", "n/a", "none", "a.u.", "arb", "µstrain", "v/v", "1",
     "dimensionless",
 })  # fmt: skip
-"""Units of other quantities that a row of units may hold, lower case."""
+"""Units of other quantities, in lower case, by which a row of units in a table is recognised."""
 _QUANTITIES = {
     "m": _METRE, "m/s": (1, -1, 0, 0), "m/s^2": (1, -2, 0, 0), "A": _AMPERE, "V": _VOLT, "s": _SECOND, "Hz": (0, -1,
     0, 0),
@@ -103,7 +103,7 @@ _OPERATORS = str.maketrans({"·": "*", "⋅": "*", "×": "*", "µ": "u", "μ": "
 _SUPERSCRIPT = re.compile("[⁻⁰¹²³⁴]+")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴", "-01234")
 _STRANGE = re.compile(r"[^\w\s %/*^.()'\"-]|\d{3}|\d\s*(\*\*|\^)|__")
-"""Characters that no unit has; a power of a power would keep the parser of pint busy without end."""
+"""Pattern of characters that no unit has, and of powers of numbers, with which the parser of pint may never end."""
 _FACTOR = re.compile(r"([*/]?)([^\W\d]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
 
 
@@ -152,7 +152,7 @@ def _bare(unit: str) -> str:
 
 
 def _plain(unit: str) -> str:
-    """Return a unit with ASCII operators and powers."""
+    """Return a unit with its special characters replaced by ASCII: `m/s²` becomes `m/s^2`, `µm` becomes `um`."""
     return _SUPERSCRIPT.sub(lambda match: "^" + match[0].translate(_SUPERSCRIPTS), unit).translate(_OPERATORS)
 
 

@@ -42,7 +42,7 @@ class Cell:
 
     text: str
     value: float | Sequence[float] | None
-    """Numbers in the displayed unit: the value and, if there is one, its expanded uncertainty."""
+    """Numbers that the cell shows, in the displayed unit: a value and, if known, the expanded uncertainty of it."""
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
@@ -87,7 +87,7 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures as HTML for the page, and store them for saving; `large` shows them in full width."""
+        """Return figures as HTML for the page, and store them for saving; `large` shows them larger."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)

@@ -155,7 +155,7 @@ def _constants(done: Finished) -> list[list[str | Cell]]:
         ("m", sphere_mass_kg(base.sphere), "kg", "sphere"),
         ("K", hertz_stiffness_n_m32(base.sphere, base.barriers), "N/m^1.5", "contact stiffness"),
         ("e", law.restitution, "-", "restitution, nominal"),
-        ("e realised", law.realised_restitution(), "-", f"what the contact law {base.contact.law} returns for it"),
+        ("e realised", law.realised_restitution(), "-", f"restitution that the contact law {base.contact.law} gives"),
         ("I", paper.CURRENT_A, "A", "coil current of the paper's cases, peak"),
     ]
     return [[symbol, number(value, ".5g"), unit, meaning] for symbol, value, unit, meaning in values]

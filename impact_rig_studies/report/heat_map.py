@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
 WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
 OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
-"""Colours of the regimes' borders in drawing order; the remaining area is otherwise periodic."""
+"""Colour in which the border of a class of motion is drawn, in drawing order; the rest of the map is periodic."""
 _COLUMNS = 2
 APART = 0.01  # relative difference of DT from which the two directions count as two answers
 

@@ -150,9 +150,9 @@ class _Figure:
 
 
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
-    """Return figures as HTML, side by side as the page width allows, or in full width if `large`.
+    """Return figures as HTML, side by side as the page width allows; `large` makes them larger.
 
-    Each can be enlarged, and has a link to its numbers as CSV.
+    The reader can enlarge each, and each has a link to its numbers as CSV.
     """
     shown = [
         _Figure(

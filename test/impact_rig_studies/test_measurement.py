@@ -504,7 +504,7 @@ def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
     assert "not used: frequency" not in printed
     assert main([*words, "--channel", "laser=laser 1", "--gap", "6mm"]) == 0
     printed = capsys.readouterr().out
-    assert "from 0 s: gap 6 mm" in printed
+    assert "label from 0 s on: gap 6 mm" in printed
     assert "unknown" not in printed
     assert main([*words, "--channel", "laser=laser 1", "--gap", "coil"]) == 0
     assert re.search(r"^ coil +mm +gap *$", capsys.readouterr().out, re.MULTILINE)

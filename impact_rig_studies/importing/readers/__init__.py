@@ -91,7 +91,7 @@ FORMATS: Mapping[str, Format] = {
     ".mat": MATLAB_5,
     **dict.fromkeys(bag.SUFFIXES, BAG),
 }  # fmt: skip
-"""Formats by suffix; a bag may also be a directory."""
+"""Formats that can be imported, by suffix of the file; a ROS bag may also be a directory."""
 
 
 def format_of(path: Path, content: bytes) -> Format:

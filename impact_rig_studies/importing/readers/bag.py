@@ -42,7 +42,7 @@ UNITS = {
     ("geometry_msgs/msg/Pose", "position"): "m", ("geometry_msgs/msg/PointStamped", "point"): "m",
     ("geometry_msgs/msg/Transform", "translation"): "m", ("sensor_msgs/msg/Range", "range"): "m",
 }  # fmt: skip
-"""Units that the definitions of messages state, by type and field."""
+"""Units that the definitions of ROS messages state, by type of the message and name of the field."""
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of `PointField`
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _TIME_COLUMNS = ("time", "t")  # of a `PointCloud2`, since its stamp [s]

@@ -132,7 +132,10 @@ def _sample(lines: Sequence[str]) -> list[str]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, without blanks around them; None separates at blanks, and quotes protect both."""
+    """Return the cells of a line, without blanks around them.
+
+    A `delimiter` of None means blanks; delimiters within double quotes do not separate.
+    """
     if '"' in line and len(line) <= LONGEST_QUOTED:
         if delimiter is None:
             return [cell.strip('"') for cell in _QUOTED.findall(line)]

@@ -80,7 +80,7 @@ def is_labview(lines: Sequence[str]) -> bool:
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read a LabVIEW measurement file.
+    """Read the columns of a LabVIEW measurement file as signals.
 
     Raises:
         RecordingError: the file has another format, or no rows of numbers.
@@ -92,7 +92,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
-    """Read the lines of a LabVIEW measurement file.
+    """Read the columns in the lines of a LabVIEW measurement file as signals.
 
     Raises:
         RecordingError: the file has no rows of numbers.

@@ -332,7 +332,7 @@ def test_a_part_of_a_campaign_never_shrinks_the_results(tmp_path, capsys, monkey
         assert [(out / name).read_text() for name in (run.CSV_FILE, run.CAMPAIGN_FILE)] == whole
         summary = json.loads((out / "summary.json").read_text())
         assert (summary["points"], len(run.open_finished(out).points)) == (4, 4)
-        assert "4 points; figures for programs" in (printed := " ".join(capsys.readouterr().out.split()))
+        assert "4 points; results for programs" in (printed := " ".join(capsys.readouterr().out.split()))
         assert "other code" not in printed
     monkeypatch.setattr("impact_rig_studies.campaign.store.fingerprint", lambda: "0.0.9-of-new")
     assert main([*command, "--only", "two"]) == 0

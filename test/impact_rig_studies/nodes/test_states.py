@@ -252,7 +252,7 @@ def test_a_stepped_sine_says_how_its_sweep_is(client: Client) -> None:
     client.host(
         SteppedSineNode, parameter_overrides=ros_parameters({"frequencies_hz": [30.0], "begin": True, "current_a": 1.0})
     )
-    wait_for(client, "stepped_sine", "waiting", "no rig subscribes to the shaker's topics")
+    wait_for(client, "stepped_sine", "waiting", "no rig subscribes to shaker/frequency and shaker/current")
     host_analysis(client)
     host_rig(client, "realtime", time__factor=4.0, sphere__present=False)
     client.wait_active("rig", "analysis", "stepped_sine")
