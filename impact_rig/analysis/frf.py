@@ -48,7 +48,7 @@ SEGMENTS = 2.5  # minimum number of segments in a record, by default: four with 
 EXCITED = 1e-3  # share of the strongest line's power from which a line counts as excited
 ABOVE_NOISE = 10.0  # minimum power of an excited line, in multiples of the sensor's noise density
 REPEATS = 0.01
-"""Relative rms change between segments up to which an excitation is periodic in the segment: nothing leaks."""
+"""Relative rms change between segments up to which an excitation repeats in each: no power leaks between lines."""
 FITS = 0.05  # relative residual up to which a single resonance describes a record
 AROUND = 0.1  # relative half width of the band in which a resonance is refined
 SHAPE = 8192  # points of a window of which only the shape matters
@@ -311,7 +311,7 @@ def _periodic(x: Real, segment: int) -> bool:
 
 
 def _effective_averages(n: int, segment: int, shared: int, window: str) -> float:
-    """Return the number of independent averages: overlapping segments are correlated (Welch 1967, Eq. 12)."""
+    """Return the effective number of averages over n samples: overlapping segments correlate (Welch 1967, Eq. 12)."""
     step = segment - shared
     count = (n - shared) // step
     shape = scipy.signal.get_window(window, segment)

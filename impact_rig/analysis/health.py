@@ -67,7 +67,7 @@ ACCELEROMETER_HIGH_PASS_HZ = 1.0  # corner frequency that a charge amplifier may
 ALONE = 0.003  # smallest relevant relative change of an amplitude, in addition to its noise
 NOISES = 5.0  # standard uncertainties of a change that may be chance
 FOLLOWS = 50.0
-"""Largest relative change of the base's amplitude, as a multiple of the changes of coil current and structure.
+"""Largest relative change of the base's amplitude, as a multiple of that of coil current plus that of structure.
 
 At resonance, the difference of two almost equal forces moves the base, so small changes of them change it much.
 """
@@ -108,9 +108,10 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
 
 
 def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Rejection | None:
-    """Return a rejection if laser and base, in this order, show no vibration: both (silence), or one of them alone.
+    """Return a rejection if laser and base, in this order, show no vibration, both (silence) or one; else None.
 
-    A channel that falls silent during a measurement is found earlier: see `settling`.
+    An amplitude up to `SIGNAL_FACTOR` times its standard uncertainty, in `floors`, is no vibration. A channel that
+    falls silent during a measurement is found earlier: see `settling`.
     """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
     return _still(still, Status.NO_SIGNAL)

@@ -95,7 +95,10 @@ def more_windows(taken: int, reached: float, share: float) -> int:
 
 
 def _limit(quarters: Complex) -> complex:
-    """Return the limit that four values of a decaying series approach: Aitken, q from both pairs of differences."""
+    """Return the limit that four successive values of a decaying series approach, after Aitken.
+
+    The factor q between successive differences is fitted to both pairs of them.
+    """
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
     if power == 0.0:
@@ -261,17 +264,17 @@ class Judge:
 
     @property
     def late(self) -> bool:
-        """Return whether the next row is overdue: the response no longer agrees with the newest row."""
+        """Return whether the next row is overdue, because the response is less regular than at the newest row."""
         return self._reported and self._since_row > self._span
 
     @property
     def pending(self) -> bool:
-        """Return whether windows have been added since the newest row."""
+        """Return whether a measurement is in progress: windows have been added since the newest row."""
         return self._since_row > 0
 
     @property
     def progress(self) -> Progress:
-        """Progress of the first measurement of this setting."""
+        """Progress towards the first row of this drive setting, or towards a row that is overdue, in windows."""
         needed = max(self._settings.windows, self._due or 0)
         if self.late:
             return Progress(self._since_row, self._since_row + 1, self._remnant)

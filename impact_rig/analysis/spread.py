@@ -166,8 +166,8 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
 def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
     """Return whether the impacts repeat every `period` cycles: nearly all at phases where most such cycles have one.
 
-    Phases agree if they differ by at most one bin.
-    Weak impacts may be missed in some cycles, so a cycle without one proves nothing; an impact at another phase does.
+    Phases agree if they differ by at most one bin. Weak impacts may be missed in some cycles, so a cycle without one
+    proves nothing; an impact at another phase does.
     """
     around = np.concatenate([strikes[:, -1:], strikes, strikes[:, :1]], axis=1)
     near = around[:, :-2] | around[:, 1:-1] | around[:, 2:]

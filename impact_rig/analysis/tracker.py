@@ -45,7 +45,7 @@ from impact_rig.states import MEASURED, SETTLED, AnalysisWord, Status
 
 @attrs.define
 class Counters:
-    """Counters of a tracker, for diagnostics."""
+    """Counts of what a tracker has received, lost and reported since it was created, for the diagnostics of a node."""
 
     scans: int = 0
     lost_scans: int = 0

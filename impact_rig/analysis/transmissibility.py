@@ -49,7 +49,10 @@ from impact_rig.states import MEASURED, SETTLED, Method, Regime, Status
 NAN = float("nan")
 MIN_CYCLES = 4
 BATCHES = (4, 6)
-"""Numbers of batches: few and long, as a motion that alternates between impacts and rest is correlated for seconds."""
+"""Numbers of batches of cycles with which the uncertainty of a non-periodic response is estimated; the larger counts.
+
+Batches are few and long, because a motion that alternates between impacts and rest is correlated for seconds.
+"""
 
 
 @attrs.frozen(kw_only=True)
@@ -251,9 +254,9 @@ def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:
     """Remove the phase drift of the reference from all phasors; return them and the frequency deviation [Hz].
 
-    The reference is the current if available, else the base; NaN if neither has a clear signal. A DAQ clock that is off
-    by some ppm makes the phases drift, which would reduce the mean amplitudes. The deviation of the drive frequency
-    from the commanded one is the fourth parameter of IEEE Std 1057.
+    The reference is the current if available, else the base. If neither has a clear signal, nothing is removed, and the
+    deviation is NaN. A DAQ clock that is off by some ppm makes the phases drift, which would reduce the mean
+    amplitudes. The deviation of the drive frequency from the commanded one is the fourth parameter of IEEE Std 1057.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
     time -= time.mean()
@@ -344,9 +347,10 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
 
 
 def note_on(row: np.void | NDArray[np.void]) -> str:
-    """Return a readable caveat of a row of `transmissibility/table`; empty unless its status is `no_impacts`.
+    """Return a caveat on a row of `transmissibility/table`: a slow sphere could still strike. Empty for other rows.
 
-    The time without impacts is the shorter of `impact_age` and `waited`: before that, the drive was different.
+    It applies to the status `no_impacts`. The time without impacts is the shorter of `impact_age` and `waited`: before
+    that, the drive was different.
     """
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""

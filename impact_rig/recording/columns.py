@@ -49,7 +49,7 @@ Columns = dict[str, NDArray[np.generic]]
 
 
 def batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns in batches of many messages, with text as str; without rows, one empty batch.
+    """Yield the columns of a table topic in batches of many messages, with text as str; without rows, one empty batch.
 
     Raises:
         RecordingError: the topic carries no tables, holds no message or changes its columns.
@@ -63,7 +63,9 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
         if dtype is None:
             dtype = table.rows.dtype
         elif dtype != table.rows.dtype:
-            raise RecordingError(f"topic {topic} changes its columns at {table.stamp_ns} ns")
+            raise RecordingError(
+                f"topic {topic} changes its columns at the stamp {table.stamp_ns} ns, so its rows do not form one table"
+            )
         origin_ns = table.stamp_ns if origin_ns is None else origin_ns
         tables.append(table)
         earlier.append(is_earlier(run, message))
@@ -78,19 +80,19 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
 
 
 def complete(parts: Iterator[Columns]) -> Columns:
-    """Combine batches of columns into one."""
+    """Join batches of the same columns, at least one, into complete columns."""
     found = list(parts)
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 def to_dataframe(run: Run, topic: str) -> Any:
-    """Return a `pandas.DataFrame`; see `Run.to_dataframe`."""
+    """Return the rows of a table topic as a `pandas.DataFrame`; implements `Run.to_dataframe`."""
     pandas = extras.load("pandas", "to_dataframe()", "tables")
     return pandas.DataFrame(complete(batches(run, topic)))
 
 
 def to_xarray(run: Run, topic: str) -> Any:
-    """Return an `xarray.Dataset`; see `Run.to_xarray`."""
+    """Return the rows of a table topic as an `xarray.Dataset`; implements `Run.to_xarray`."""
     xarray = extras.load("xarray", "to_xarray()", "tables")
     columns = complete(batches(run, topic))
     described = _described(run, topic)
@@ -104,7 +106,7 @@ def to_xarray(run: Run, topic: str) -> Any:
 
 
 def first_scan_ns(run: Run, topic: str) -> int | None:
-    """Return the stamp of the first scan of the rig that a topic belongs to, or None without scans."""
+    """Return the stamp of the first recorded scan of the rig to which a topic belongs [ns]; None without scans."""
     name = run.resolve(topic)
     prefix = max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
     scans = prefix + topics.SCAN.name
@@ -114,7 +116,10 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
 
 
 def is_earlier(run: Run, message: Message) -> bool:
-    """Return whether a message was published before the recording began; False if publish times are unknown."""
+    """Return whether a message was published before its recording began, as latched messages can be.
+
+    It is False if the publish times of the recording are unknown.
+    """
     text = run.provenance.get("wall_start_ns", "")
     if message.publish_time == message.log_time:
         return False  # the writer knew no publish times: both times are rig time
@@ -124,7 +129,11 @@ def is_earlier(run: Run, message: Message) -> bool:
 def leading(
     stamps: NDArray[np.int64], since: NDArray[np.float64], earlier: Sequence[bool], origin_ns: int | None
 ) -> Columns:
-    """Return the leading columns of rows `since` seconds after the stamps of their messages; all of shape (n,)."""
+    """Return the columns `time`, `timestamp` and `earlier` of rows, shape (n,) each.
+
+    `stamps` are the stamps of the messages of the rows [ns], `since` the times of the rows after them [s], `earlier`
+    the column of this name. `time` counts from `origin_ns`, or from the first stamp if that is None.
+    """
     known = np.abs(since) <= LONGEST_S
     own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)
     begin = origin_ns if origin_ns is not None else int(stamps[0]) if len(stamps) else 0
@@ -136,7 +145,7 @@ def leading(
 
 
 def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
-    """Return the columns of some tables of equal type."""
+    """Return the columns of the rows of some tables of equal type; `time` counts from `origin_ns`."""
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]
     stamps = np.repeat(np.array([table.stamp_ns for table in tables], np.int64), counts)
@@ -153,7 +162,10 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 
 
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
-    """Return unit and description of the columns of a topic, as far as interface and calibration define them."""
+    """Return unit and description of the columns of a topic, by name, as far as known.
+
+    They come from the interface of the rig; the units of channels are those of the recorded `daq/info`.
+    """
     relative = run.relative(run.resolve(topic))
     known = next((one for one in topics.COMMON if one.name == relative), None)
     found = {one.name: {"units": one.unit, "long_name": one.doc} for one in (known.fields if known else ())}

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Description of a recording's topics and files in the terms of rosbag2: type, schema, offered QoS, `metadata.yaml`.
+"""Description of the topics and files of a recording as rosbag2 stores it: types, schemas, QoS, `metadata.yaml`.
 
 A `ros2msg` schema is the `.msg` text of the type, followed by each type it uses, directly or indirectly, once, after a
 line of 80 `=` and `MSG: package/Type`. The texts are those of the installed interfaces. Without ROS 2 they are the
@@ -53,7 +53,7 @@ _SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # encodings o
 ENCODING = "ros2msg"
 
 MAX_QOS_CHARACTERS = 65_536
-"""Limit of a text with the profiles offered by a topic's publishers; half of it suffices for a hundred publishers."""
+"""Limit of a YAML text with the QoS profiles of a topic's publishers; half of it suffices for a hundred publishers."""
 
 QosYaml = dict[str, str | int | bool | dict[str, int]]
 
@@ -76,7 +76,7 @@ class OfferedQos:
     avoid_ros_namespace_conventions: bool = False
 
     def to_yaml(self) -> QosYaml:
-        """Return the mapping that rosbag2 writes (metadata version 9: policies as words)."""
+        """Return this profile as the mapping that rosbag2 writes to YAML (metadata version 9: policies as words)."""
         return {
             "history": self.history,
             "depth": self.depth,
@@ -92,7 +92,7 @@ class OfferedQos:
 
 @attrs.frozen(kw_only=True)
 class TopicDescription:
-    """Recorded topic."""
+    """Description of a recorded topic: its name, message type, schema, and the QoS that its publishers offer."""
 
     name: str  # fully qualified
     type_name: str  # `package/msg/Type`
@@ -103,21 +103,21 @@ class TopicDescription:
     offered_qos_text: str = attrs.field(
         default=attrs.Factory(lambda self: dump_yaml([qos.to_yaml() for qos in self.offered_qos]), takes_self=True)
     )
-    """The YAML list as in the file, set by readers; otherwise derived from `offered_qos`."""
+    """YAML list of the offered profiles: as in the file for a topic that was read, else made from `offered_qos`."""
     encoding: str = SERIALIZATION  # encoding of its messages
     schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the offered profiles for `metadata.yaml`; a text that is not a plain list counts as none."""
+        """Return the offered QoS profiles for `metadata.yaml`; none if `offered_qos_text` is not a plain YAML list."""
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
-        """Return the metadata of the topic's MCAP channel."""
+        """Return the metadata of the MCAP channel of this topic: offered QoS profiles and type hash, as in rosbag2."""
         return {"offered_qos_profiles": self.offered_qos_text, "topic_type_hash": self.type_hash}
 
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
-        """Return the topic that a channel and its schema describe; without a schema, its type has no name."""
+        """Return the description of a topic from its MCAP channel and schema; without schema, its type has no name."""
         schema_encoding = ENCODING if schema is None else schema.encoding
         return cls(
             name=channel.topic,
@@ -130,13 +130,13 @@ class TopicDescription:
         )
 
     def schema_bytes(self) -> bytes:
-        """Return the schema as it is in a file."""
+        """Return the schema as the bytes that a file contains."""
         return self.schema.encode(_SCHEMA_CODEC[self.schema_encoding == ENCODING][0])
 
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the policies in an untrusted text, each by its name; nothing else is accepted or expanded."""
+    """Return the QoS profiles in an untrusted YAML text, with their known policies only; empty for any other text."""
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
@@ -177,7 +177,7 @@ def _time(nanoseconds: int) -> dict[str, int]:
 
 
 DEFINITIONS = Path(__file__).with_name("definitions.json")
-"""`.msg` texts, by `package/Type`, of all types that the topics of this package need."""
+"""File with the `.msg` texts, by `package/Type`, of all types that the topics of this package need."""
 
 _SEPARATOR = "=" * 80
 _NAME = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
@@ -248,13 +248,13 @@ def starts_with_header(type_name: str, schema: str) -> bool:
 
 
 def members(schema: str) -> list[tuple[str, str, int]]:
-    """Return path, primitive type and count of each member of a message, in order; -1 means a sequence of any length.
+    """Return path, primitive type and count of each member of a message type, in order; -1: a sequence of any length.
 
     Args:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text, or there are too many members.
+        RecordingError: a type is not defined in the text, an array contains messages, or there are too many members.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {
@@ -270,7 +270,10 @@ def members(schema: str) -> list[tuple[str, str, int]]:
             else:
                 inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
                 if inner is None or count != 1 or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
-                    raise RecordingError(f"cannot parse the member {path + member} of type {name}")
+                    raise RecordingError(
+                        f"cannot read messages with the member {path + member} of type {name}{length}: its type is not "
+                        "defined, or it is an array of messages"
+                    )
                 walk(inner, f"{path}{member}.", depth + 1)
 
     walk(root, "", 0)
@@ -313,7 +316,7 @@ Information = dict[str, object]
 
 @attrs.define
 class FileSpan:
-    """Messages of one file (or of all): their number, and the first and last log time [ns]."""
+    """Extent of the messages in one file, or in all: their number, and the first and last log time [ns]."""
 
     path: str
     count: int = 0
@@ -321,21 +324,21 @@ class FileSpan:
     end_ns: int = 0
 
     def add(self, log_time_ns: int) -> None:
-        """Count one message."""
+        """Count one message with this log time."""
         self.count += 1
         self.start_ns = min(self.start_ns, log_time_ns)
         self.end_ns = max(self.end_ns, log_time_ns)
 
     @property
     def duration_ns(self) -> int:
-        """Time from the earliest to the latest message; 0 without messages."""
+        """Time from the earliest to the latest log time [ns]; 0 without messages."""
         return max(0, self.end_ns - self.start_ns)
 
 
 def bag_information(
     topics: Sequence[tuple[TopicDescription, int]], spans: Sequence[FileSpan], *, ros_distro: str
 ) -> Information:
-    """Return the twelve keys under `rosbag2_bagfile_information`.
+    """Return the content of `metadata.yaml`: the twelve keys under `rosbag2_bagfile_information`.
 
     Args:
         topics: topics, each with its number of messages.
@@ -381,12 +384,12 @@ def bag_information(
 
 
 def bag_record(info: Information) -> dict[str, str]:
-    """Return the content of the `rosbag2` metadata record: the information without its top key."""
+    """Return the content of the metadata record `rosbag2` of an MCAP file: that of `metadata.yaml` as one text."""
     return {BAG_RECORD_KEY: dump_yaml(info)}
 
 
 def write_metadata(directory: Path, info: Information) -> None:
-    """Write `metadata.yaml` completely or not at all.
+    """Write the file `metadata.yaml` of a run directory, completely or not at all.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -412,7 +415,7 @@ _CRC_KEY = "crc32"
 
 @attrs.frozen(kw_only=True)
 class Provenance:
-    """Provenance that every run must state."""
+    """Provenance of a run, in its metadata record `impact_rig`: version, seed and arithmetic of its samples."""
 
     version: str
     seed: int  # seed of noise, calibration errors and random drive
@@ -421,7 +424,7 @@ class Provenance:
     arithmetic: int = ARITHMETIC  # version of the arithmetic that computed the samples
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record."""
+        """Return the provenance as the content of the metadata record `impact_rig`."""
         return {
             "version": self.version,
             "seed": str(self.seed),
@@ -432,7 +435,7 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Provenance | None:
-        """Parse the result of `to_record`; return None if a part is missing."""
+        """Return the provenance in a metadata record `impact_rig` with this content; None if a part is missing."""
         extra = dict(record)
         try:
             version, seed, start = extra.pop("version"), int(extra.pop("seed")), int(extra.pop("wall_start_ns"))
@@ -443,18 +446,21 @@ class Provenance:
 
 
 def arithmetic_of(record: Mapping[str, str]) -> str:
-    """Return the version of the arithmetic in a run's metadata record; empty for files of other recorders."""
+    """Return the version of the arithmetic from the provenance record of a run; empty for files of other recorders.
+
+    Only the same version reproduces the samples bit for bit.
+    """
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
 
 
 def is_measured(record: Mapping[str, str]) -> bool:
-    """Return whether a run's metadata record belongs to an imported measurement, which has no simulation."""
+    """Return whether the provenance record of a run belongs to an imported measurement, which was not simulated."""
     return record.get(MODE_KEY) == MEASURED
 
 
 @attrs.frozen
 class Attachment:
-    """File stored inside the recording."""
+    """File to store inside a recording, such as the configuration."""
 
     name: str
     data: bytes
@@ -462,13 +468,13 @@ class Attachment:
 
 
 def protect(record: Mapping[str, str]) -> dict[str, str]:
-    """Return `record` with its checksum."""
+    """Return the content of a metadata record with a checksum under the key `crc32`, which `verify` checks."""
     content = {key: value for key, value in record.items() if key != _CRC_KEY}
     return {**content, _CRC_KEY: f"{_checksum(content):08x}"}
 
 
 def verify(record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return `record` without its checksum, or None if it has none or a wrong one."""
+    """Return the content of a metadata record without its checksum; None if the checksum is missing or wrong."""
     content = {key: value for key, value in record.items() if key != _CRC_KEY}
     return content if record.get(_CRC_KEY) == f"{_checksum(content):08x}" else None
 

@@ -29,13 +29,16 @@ from collections.abc import Iterator, Mapping
 from mcap.records import Attachment, Channel, Schema
 
 RECORD_NAME = "impact_rig/digests"
-"""The last metadata record of a file; no digest covers it."""
+"""Name of the metadata record with the digests: the last one of a file, which no digest covers."""
 _TOPIC = "topic "  # prefix of a topic's name in a key of the record
 _MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, length
 
 
 class Digests:
-    """Digests of one file, extended with each part that is written or read."""
+    """Digests of the parts of one file: of each topic, the attachments and the metadata.
+
+    A writer adds each part that it writes, a checker each part that it reads; equal parts give equal digests.
+    """
 
     def __init__(self) -> None:
         self._topics: dict[int, tuple[str, hashlib.blake2b]] = {}  # name and digest, by channel
@@ -61,26 +64,26 @@ class Digests:
         digest.update(data)
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add an attachment."""
+        """Add an attachment to the digest of all attachments, in file order."""
         digest = self._attachments
         _add(digest, attachment.name, attachment.media_type, attachment.data)
         digest.update(struct.pack("<QQ", attachment.log_time, attachment.create_time))
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
-        """Add a metadata record."""
+        """Add a metadata record to the digest of all metadata records, in file order."""
         if name != RECORD_NAME:
             _add(self._metadata, name, json.dumps(dict(content), sort_keys=True))
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record."""
+        """Return the content of the metadata record `RECORD_NAME`: part of the file -> digest as hexadecimal text."""
         topics = {_TOPIC + name: digest.hexdigest() for name, digest in self._topics.values()}
         return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
 
     def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
-        """Yield a sentence for each part that differs from what the recorder wrote.
+        """Yield a sentence for each part of a file that has changed since it was recorded, by its digest.
 
         Args:
-            recorded: content of the metadata record of the same file.
+            recorded: digests that the recorder of the file wrote into its metadata record `RECORD_NAME`.
         """
         found = self.to_record()
         for key in sorted({*found, *recorded}):

@@ -37,19 +37,19 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
 REPLACED = frozenset(topic.name for topic in topics.COMMON if topic.qos is topics.Qos.LATCHED)
-"""Topics of which a publisher keeps only the newest message: a message that was replaced by a newer one is not lost."""
+"""Topics of which a publisher keeps only the newest message: one that was replaced does not count as lost."""
 _LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) cannot be that of a block
 WHOLE = 1e-6  # tolerance within which a rate counts as a whole number, relative: times are rounded
 # maximum number of streams per topic: if publishers come and go for days, only the last ones are still alive
 MAX_STREAMS = 64
 
 Publishers = Callable[[str], Mapping[str, str]]
-"""Function that returns the present publishers of a topic: a unique identifier -> a readable name."""
+"""Type of a function that returns the present publishers of a topic: unique identifier -> readable name."""
 
 
 @attrs.define
 class PublisherStream:
-    """Messages of one publisher on one topic."""
+    """Counts of the messages that one publisher has sent on one topic."""
 
     publisher: str  # name of the publisher if it is certain, else empty
     first: int  # sequence number of its first message; earlier messages do not count as lost
@@ -58,7 +58,7 @@ class PublisherStream:
     lost: int = 0  # number of missing messages between `first` and `newest`
 
     def take(self, sequence: int) -> None:
-        """Count a message, and the missing ones before it."""
+        """Count a message of this publisher as received, and those between the newest one and it as lost."""
         self.lost += sequence - self.newest - 1
         self.received += 1
         self.newest = sequence
@@ -74,10 +74,11 @@ class _Topic:
 
 
 class Account:
-    """Account of received and missing messages.
+    """Account of the messages that a recorder has received and of those it has missed, by topic and publisher.
 
     Args:
-        publishers: query of the graph; None means one publisher per topic, as long as its numbers increase.
+        publishers: query for the present publishers of a topic; None means that each topic has one publisher, as long
+            as its sequence numbers increase.
     """
 
     def __init__(self, publishers: Publishers | None = None) -> None:
@@ -85,10 +86,10 @@ class Account:
         self._topics: dict[str, _Topic] = {}
 
     def take(self, topic: str, sequence: int) -> str:
-        """Count a message and return the publisher's name, or an empty text if it is uncertain.
+        """Count a message and return the name of its publisher, or an empty text if the publisher is uncertain.
 
         Args:
-            topic: fully qualified name.
+            topic: fully qualified name of the topic.
             sequence: publication sequence number; 0 means none, so losses cannot be detected.
         """
         known = self._topics.get(topic) or self._topics.setdefault(topic, _Topic())
@@ -106,12 +107,12 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the publishers of a topic with more than one, as far as the graph has named them."""
+        """Return the names of all publishers of a topic, as far as known; empty if only one has sent messages."""
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record: a JSON list of streams for each topic."""
+        """Return the content of the metadata record `RECORD_NAME`: topic -> JSON list of its publishers' counts."""
         return {name: json.dumps([attrs.asdict(s) for s in self._streams(name)]) for name in self._topics}
 
     def _take_unexpected(self, topic: str, known: _Topic, sequence: int) -> str:
@@ -138,12 +139,12 @@ class Account:
 
 
 def lost(streams: Mapping[str, Sequence[PublisherStream]]) -> dict[str, int]:
-    """Return the number of missing messages in streams by topic; topics without losses are left out."""
+    """Return the number of lost messages by topic, from the counts of its publishers; 0 is left out."""
     return {name: count for name, found in streams.items() if (count := sum(stream.lost for stream in found))}
 
 
 def read_record(record: Mapping[str, str]) -> dict[str, list[PublisherStream]]:
-    """Parse the result of `Account.to_record`.
+    """Return the counts of the publishers of each topic from a metadata record that `Account.to_record` made.
 
     Raises:
         DamageError: the record is invalid.
@@ -159,40 +160,40 @@ def _stream(entry: dict[str, object]) -> PublisherStream:
     if not isinstance(stream.publisher, str) or any(
         type(number) is not int or number < 0 for number in (stream.first, stream.newest, stream.received, stream.lost)
     ):
-        raise ValueError(f"{entry} is not a valid count of messages")
+        raise ValueError(f"{entry} does not hold the counts of a publisher's messages")
     return stream
 
 
 @attrs.frozen
 class Gap:
-    """Gap between two blocks."""
+    """Gap between two successive recorded blocks of scans."""
 
     block: int  # number of the block after the gap, counted from 0
     expected_ns: int
     stamp_ns: int
     missing_scans: int
-    """Number of scans between the two blocks.
+    """Number of scans that are missing between the two blocks.
 
-    It is negative if the stamp went back (a reset, a duplicate or out-of-order block), and 0 if the stamp is impossible
-    for a scan.
+    It is negative if the stamps go back (a reset, a duplicate or out-of-order block), and 0 if no scan can have the
+    stamp of the second block.
     """
 
 
 @attrs.frozen
 class Contiguity:
-    """Contiguity of a sequence of blocks."""
+    """Contiguity of a sequence of blocks: their number, and what is missing between them."""
 
     blocks: int
     scans: int
     gaps: tuple[Gap, ...]
     lost_blocks: int
-    """Number of blocks that would fill the gaps, each as long as the one before the gap, rounded up."""
+    """Number of blocks that would fill the gaps, rounded up; each is as long as the block before its gap."""
     lost_scans: int
     restarts: int  # number of times the stamps went back
 
     @property
     def whole(self) -> bool:
-        """Return whether no scan is missing and none is duplicated."""
+        """Return whether the blocks follow one another without a missing or duplicate scan."""
         return not self.gaps
 
 
@@ -203,7 +204,7 @@ def check_contiguity(
     starts: Iterable[int] = (),
     resets: Iterable[int] = (),
 ) -> Contiguity:
-    """Check that blocks are contiguous.
+    """Find the gaps between blocks of scans, by their stamps and lengths.
 
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
@@ -259,12 +260,12 @@ def check_contiguity(
 
 
 def has_times(table: Table) -> bool:
-    """Return whether a table of any origin has a numeric column `time`."""
+    """Return whether a table has a numeric column `time`, as every valid table of scans has."""
     return "time" in (table.rows.dtype.names or ()) and table.rows.dtype["time"].kind in "iuf"
 
 
 def last_scan_ns(table: Table) -> int:
-    """Return the stamp of the last scan of a block [ns], or that of the block without a valid `time` column."""
+    """Return the stamp of the last scan of a block [ns]; that of the block itself if it has no valid column `time`."""
     if not len(table.rows) or not has_times(table):
         return table.stamp_ns
     last_s = float(table.rows["time"][-1])
@@ -272,7 +273,7 @@ def last_scan_ns(table: Table) -> int:
 
 
 def scan_rate_hz(table: Table) -> float | None:
-    """Return the rate of a block from its `time` column, an int for a whole number; None with fewer than two scans."""
+    """Return the scan rate of a block [Hz] from its column `time`, an int if whole; None with fewer than two scans."""
     if not has_times(table) or len(table.rows) < 2:
         return None
     times = table.rows["time"].astype(np.float64)
@@ -285,6 +286,6 @@ def scan_rate_hz(table: Table) -> float | None:
 
 
 def _nearest_index(elapsed_ns: int, rate_hz: float) -> int:
-    """Return the scan index whose stamp is nearest to `elapsed_ns` after the anchor."""
+    """Return the index of the scan whose stamp is nearest to `elapsed_ns` after that of scan 0."""
     over, under = rate_hz.as_integer_ratio()
     return (2 * elapsed_ns * over + under * NS_PER_S) // (2 * under * NS_PER_S)

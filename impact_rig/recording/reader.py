@@ -50,7 +50,7 @@ from impact_rig.topics import Topic
 
 DATA_END_BYTES = records.RECORD_HEAD.size + 4
 SEGMENT_BYTES = budget.MIB
-"""Number of bytes read at once from a file without chunks."""
+"""Number of bytes that are read at once from a file whose messages are outside chunks."""
 SQLITE_MAGIC = b"SQLite format 3\0"
 CONVERT = (
     "convert it with ROS 2 (printf 'output_bags: [{uri: NEW, storage_id: mcap, all: true}]' > new.yaml; ros2 "
@@ -58,12 +58,12 @@ CONVERT = (
     "--dst-storage mcap)"
 )
 LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
-"""Chunks read ahead: at least this number, and more up to this total size."""
+"""Limits of reading ahead: at least this number of chunks, and more up to this total size [bytes]."""
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
 class Message(NamedTuple):
-    """Recorded message; `data` are its CDR bytes, a view of its chunk."""
+    """Recorded message; times in ns, `data` are its CDR bytes as a view of its chunk."""
 
     topic: str
     type_name: str
@@ -75,7 +75,7 @@ class Message(NamedTuple):
 
 @attrs.frozen
 class RecordedTopic:
-    """Topic of a run and its number of messages."""
+    """Topic of a run: its description, and the number of its messages in all files."""
 
     topic: TopicDescription
     count: int
@@ -95,7 +95,7 @@ class Segment:
 
     @classmethod
     def of_chunk(cls, index: ChunkIndex) -> Segment:
-        """Return a chunk as a segment."""
+        """Return the segment that is the chunk with this index record."""
         times = index.message_start_time, index.message_end_time
         channels = frozenset(index.message_index_offsets)
         return cls(index.chunk_start_offset, index.chunk_length, *times, index.uncompressed_size, channels, chunk=index)
@@ -103,7 +103,7 @@ class Segment:
 
 @attrs.frozen
 class _Place:
-    """Segment of one of the files."""
+    """Place of messages in a run: a segment of one of its files."""
 
     source: McapSource
     segment: Segment
@@ -113,7 +113,7 @@ _Item = tuple[int, int, int, Message]  # log time, number of the chunk, number o
 
 
 class Run:
-    """Recorded run, opened for reading; a context manager.
+    """Recorded run, opened for reading; a context manager that closes its files.
 
     Args:
         path: a run directory or an MCAP file.
@@ -121,7 +121,7 @@ class Run:
 
     Attributes:
         topics: recorded topics by full name.
-        prefixes: prefix of the relative names of each rig.
+        prefixes: prefix of the topics of each rig, such as `/rig/`.
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
@@ -163,12 +163,12 @@ class Run:
 
     @property
     def start_ns(self) -> int:
-        """Log time of the earliest message; 0 without messages."""
+        """Log time of the earliest message of the run [ns]; 0 without messages."""
         return min((s.statistics.message_start_time for s in self._with_messages()), default=0)
 
     @property
     def end_ns(self) -> int:
-        """Log time of the latest message; 0 without messages."""
+        """Log time of the latest message of the run [ns]; 0 without messages."""
         return max((s.statistics.message_end_time for s in self._with_messages()), default=0)
 
     @property
@@ -181,17 +181,19 @@ class Run:
         return self.record(RECORD_NAME)
 
     def record(self, name: str) -> dict[str, str]:
-        """Return the last metadata record of this name with its own checksum; empty if there is none.
+        """Return the content of the last metadata record of this name, checked by its own checksum; empty if none.
 
         Raises:
-            RecordingError: the record is damaged.
+            RecordingError: the record has no checksum, or does not match it.
         """
         for source in reversed(self.sources):
             for found, content in reversed(source.metadata()):
                 if found == name:
                     verified = verify(content)
                     if verified is None:
-                        raise DamageError(f"{self.path}: the metadata record {name!r} does not match its checksum")
+                        raise DamageError(
+                            f"{self.path}: the metadata record {name!r} has no checksum, or does not match it"
+                        )
                     return verified
         return {}
 
@@ -216,7 +218,7 @@ class Run:
 
     @property
     def prefix(self) -> str:
-        """Prefix of the relative names of this run's rig: its namespace and a slash.
+        """Prefix of the topics of the rig that relative names refer to: its namespace and a slash, such as `/rig/`.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -224,7 +226,7 @@ class Run:
         return rigs.choose(self.prefixes, self._rig, self.path)
 
     def name(self, wanted: str | Topic) -> str:
-        """Return the full name of any topic: an absolute name unchanged, others in the rig's namespace.
+        """Return the full name of a topic, recorded or not: an absolute name unchanged, others in the rig's namespace.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -236,7 +238,7 @@ class Run:
         return text if text in self.topics and name not in self.topics else name  # names without any slash are legal
 
     def relative(self, name: str) -> str | None:
-        """Return the name of a recorded topic relative to this run's rig; None if it belongs to another rig.
+        """Return the name of a recorded topic relative to the chosen rig's namespace; None if it is not of this rig.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -245,7 +247,7 @@ class Run:
         return name.removeprefix(self.prefix) if name.startswith(self.prefix) and not others else None
 
     def resolve(self, wanted: str | Topic) -> str:
-        """Return the full name of a recorded topic; see `name`.
+        """Return the full name of a topic, as `name` does, and check that the topic was recorded.
 
         Raises:
             RecordingError: the topic was not recorded; or there are several rigs, and none was chosen.
@@ -266,12 +268,12 @@ class Run:
         end_ns: int | None = None,
         recorded_order: bool = False,
     ) -> Generator[Message, None, None]:
-        """Yield messages in log-time order; equal times in recorded order.
+        """Yield the messages of a run in log-time order; those of equal times in recorded order.
 
         Args:
             topics: topics to read, by absolute names or names relative to the rig's namespace; None means all.
-            start_ns: first log time (inclusive).
-            end_ns: last log time (exclusive).
+            start_ns: log time of the first message [ns], inclusive; None means from the start.
+            end_ns: log time at which to end [ns], exclusive; None means to the end.
             recorded_order: whether to yield messages in the order of recording instead.
 
         Raises:
@@ -281,7 +283,7 @@ class Run:
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
 
     def holds(self, topic: str | Topic) -> bool:
-        """Return whether a topic of this run's rig was recorded.
+        """Return whether a topic was recorded; a relative name is that of the chosen rig.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -356,7 +358,11 @@ class Run:
         return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
-        """Reject an index that shows by itself that the budget would be exceeded."""
+        """Reject a recording whose index shows, before anything is read, that it exceeds the limits of reading.
+
+        Raises:
+            BudgetError: chunks, topics or QoS profiles exceed a limit.
+        """
         account = self._account()
         with _named(self.path):
             for source in self.sources:
@@ -422,7 +428,10 @@ class Run:
             del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Refuse to keep many chunks in memory because each has a message that is much later than the others."""
+        """Raise an error if too many chunks must be kept in memory until the time of their latest message is reached.
+
+        A hostile recording has such chunks: each holds a message that is much later than its others.
+        """
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
         with _named(self.path):
@@ -431,7 +440,7 @@ class Run:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Add the name of the run or file to a budget error."""
+    """Add the path of a run or file to a budget error that the body raises."""
     try:
         yield
     except BudgetError as error:
@@ -476,26 +485,29 @@ def run_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise RecordingError(f"{path} is neither a run directory nor an MCAP file")
+        raise RecordingError(f"{path} does not exist, or is neither a run directory nor an MCAP file")
     listed = [_listed(path, name) for name in _listed_files(path)]
     missing = [file.name for file in listed if not file.exists()]
     if missing:
         raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
     found = listed or mcap_files(path) or sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap.zstd"))
     if not found:
-        raise RecordingError(f"{path} holds no *.mcap file")
+        raise RecordingError(f"{path} holds no *.mcap file, so it is not a recording")
     return found
 
 
 def _listed(directory: Path, name: str) -> Path:
-    """Return a file listed by `metadata.yaml`, which may include the folder (older versions), or be compressed."""
+    """Return the path of a file that `metadata.yaml` lists; of a compressed file, the unpacked one if there is one.
+
+    The listed name may include the folder, as older versions of rosbag2 write it.
+    """
     file = directory / Path(name).name
     unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
     return unpacked if unpacked.exists() else file
 
 
 def mcap_files(directory: Path) -> list[Path]:
-    """Return the MCAP files in a directory in the order of writing; `metadata.yaml` is not used."""
+    """Return the MCAP files in a directory, sorted by the numbers in their names; `metadata.yaml` is not used."""
     return sorted(directory.glob("*.mcap"), key=_split_order)
 
 
@@ -529,7 +541,7 @@ def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) 
 def _items(
     place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: ReadBudget
 ) -> list[_Item]:
-    """Return the selected messages of a segment, each with its sort key."""
+    """Return the messages of the named topics (None: of all) in a segment, each with a key that sorts by log time."""
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []
@@ -548,7 +560,7 @@ def _items(
     return items
 
 
-_REMEDY = "impact-rig recover saves the intact messages"
+_REMEDY = "impact-rig recover saves the intact messages, if there are any"
 _BEING_WRITTEN = (
     "it is still being recorded: read it when the recording has ended (Ctrl-C, or ~/stop of the recorder), or "
     "copy its present content with impact-rig recover"
@@ -556,7 +568,7 @@ _BEING_WRITTEN = (
 
 
 class McapSource:
-    """Finished MCAP file, opened for reading.
+    """One finished MCAP file, opened for reading; its index is checked on opening, its records when they are read.
 
     Raises:
         RecordingError: the file cannot be opened, is not finished or is damaged.
@@ -596,16 +608,16 @@ class McapSource:
             self._fd = -1
 
     def refuse_if_closed(self, offset: int) -> None:
-        """Raise an error if the file of a segment has been closed.
+        """Raise an error if this file has been closed, before the segment at byte `offset` of it is read.
 
         Raises:
             RecordingError: the file has been closed.
         """
         if self._fd < 0:
-            raise RecordingError(f"cannot read {self.path} at byte {offset}: it has been closed")
+            raise RecordingError(f"cannot read {self.path} at byte {offset}: the run has been closed")
 
     def _is_being_written(self) -> bool:
-        """Return whether the process that writes the file is alive: it holds a lock on the file."""
+        """Return whether a recorder still writes this file: it holds a lock on the file until it ends."""
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -616,12 +628,12 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the parts that contain messages, in file order."""
+        """Return the segments with the messages of this file, in file order: its chunks, or parts if it has none."""
         chunks = [Segment.of_chunk(index) for index in self.summary.chunk_indexes]
         return chunks if chunks or not self.statistics.message_count else list(self._outside_chunks())
 
     def _outside_chunks(self) -> Iterator[Segment]:
-        """Scan a file without chunks, and yield consecutive messages."""
+        """Yield segments of consecutive messages in a file without chunks, by reading the heads of all its records."""
         position, view, base = len(records.MAGIC), b"", 0
         begun = ended = 0
         times: list[int] = []
@@ -662,14 +674,14 @@ class McapSource:
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
             if chunk.uncompressed_size != segment.size:
-                raise DamageError("its size is not that in the index")  # noqa: TRY301  (one place words both kinds)
+                raise DamageError("its decompressed size is not that in the index")  # noqa: TRY301  # worded below
             return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
             raise DamageError(f"{where}: {error}; {_REMEDY}") from error
 
     def attachments(self) -> list[Attachment]:
-        """Return the attachments.
+        """Return the files that are stored inside this file.
 
         Raises:
             RecordingError: an attachment is damaged.
@@ -678,7 +690,7 @@ class McapSource:
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
 
     def attachment_records(self) -> list[tuple[mcap_records.Attachment, bool]]:
-        """Return the attachment records, and for each whether it carries a (matching) checksum.
+        """Return the attachment records of this file, each with whether it carries a checksum (which then matches).
 
         Raises:
             RecordingError: an attachment is damaged.
@@ -697,7 +709,9 @@ class McapSource:
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
-        """Return name and content of the metadata records. MCAP does not protect the content by a checksum.
+        """Return name and content of the metadata records of this file, in order.
+
+        MCAP does not protect the content by a checksum; `description.verify` checks those of this package.
 
         Raises:
             RecordingError: a metadata record is damaged.
@@ -715,11 +729,11 @@ class McapSource:
 
     @property
     def fd(self) -> int:
-        """Descriptor of the open file."""
+        """Descriptor of the open file, for `os.pread`; -1 after `close`."""
         return self._fd
 
     def crc(self, segment: Segment) -> int:
-        """Return the checksum in the head of a chunk; 0 means none.
+        """Return the checksum that the head of a chunk states for its content; 0 means none.
 
         Raises:
             RecordingError: the chunk cannot be read.
@@ -741,7 +755,7 @@ class McapSource:
         return records.parse(mcap_records.Footer, content).summary_start - DATA_END_BYTES
 
     def record_at(self, offset: int, opcode: int) -> memoryview:
-        """Return the content of the record at an offset.
+        """Return the content of the record with this opcode at an offset of the file.
 
         Raises:
             DamageError: there is no record of this kind at the offset.
@@ -775,11 +789,11 @@ class McapSource:
 
 
 class ForeignBagError(RecordingError):
-    """Recording in another format than MCAP."""
+    """Error of a recording that is not an MCAP file; the message has a command that converts it."""
 
 
 def refuse_foreign(fd: int) -> None:
-    """Reject a bag of rosbag2 in another format, with a command that converts it.
+    """Raise an error for a bag of rosbag2 in another format than MCAP, with a command that converts it.
 
     Raises:
         ForeignBagError: the file is in SQLite, or compressed as a whole.
@@ -825,11 +839,12 @@ def read_summary(fd: int, size: int) -> Summary:
 
 
 def parse_summary(section: memoryview) -> Summary:
-    """Parse a summary section.
+    """Parse the summary section of an MCAP file: its schemas, channels, indexes and statistics.
 
     Raises:
-        DamageError: the section is not a sequence of records, has no statistics, or lists fewer
-            parts than the statistics count.
+        DamageError: the section is not a sequence of records, has no statistics, lists another number of chunks or
+        fewer
+            topics than they count, or lists a chunk twice.
     """
     found = Summary()
     offset = 0
@@ -851,7 +866,7 @@ def parse_summary(section: memoryview) -> Summary:
             found.statistics = records.parse(mcap_records.Statistics, content)
     chunks, statistics = found.chunk_indexes, found.statistics
     if statistics is None:
-        raise DamageError("it has no statistics")
+        raise DamageError("its index has no statistics")
     if statistics.chunk_count != len(chunks):
         raise DamageError(f"its index lists {len(chunks)} of {statistics.chunk_count} chunks")
     for what, listed, count in (
@@ -865,7 +880,7 @@ def parse_summary(section: memoryview) -> Summary:
 
 
 def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
-    """Reject an index that lists a chunk, or a part of one, twice: a short file would be read forever."""
+    """Raise an error for an index that lists a chunk, or a part of one, twice: a short file could be read forever."""
     ends_at = 0
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset
@@ -875,7 +890,7 @@ def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
 
 
 def topics_of(summary: Summary) -> dict[int, TopicDescription]:
-    """Return the topic of every channel id.
+    """Return the topic of every channel in a summary, by the id of the channel.
 
     Raises:
         DamageError: a channel refers to a missing schema.

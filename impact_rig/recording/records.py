@@ -50,11 +50,11 @@ class DamageError(RecordingError):
 
 
 class UncheckedError(DamageError):
-    """Lack of a checksum where one is required."""
+    """Error of a chunk that carries no checksum although the caller requires one."""
 
 
 class RawMessage(NamedTuple):
-    """Message inside a chunk; `data` is a view of the chunk."""
+    """Message as it is stored in a chunk; times in ns, `data` is a view of the chunk."""
 
     channel_id: int
     sequence: int
@@ -64,14 +64,14 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """The library's reader of fields on a view, with checks of lengths: no copies, no truncated fields."""
+    """Reader of the fields of a record for the library `mcap` that copies nothing and rejects truncated fields."""
 
     def __init__(self, view: memoryview) -> None:
         super().__init__(io.BytesIO())
         self._view = view
 
     def read(self, length: int) -> memoryview:  # type: ignore[override]  # the callers accept both types
-        """Return the next bytes.
+        """Return the next `length` bytes of the record.
 
         Raises:
             DamageError: fewer bytes are left.
@@ -87,7 +87,7 @@ Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Parse all of `content` as a record of one kind; the data in it are views.
+    """Parse the content of a record, without its head, as a record of a class of `mcap.records`; its data are views.
 
     Raises:
         DamageError: the record is invalid, or longer than its content.
@@ -103,13 +103,13 @@ def parse(kind: type[Record], content: memoryview) -> Record:
 
 
 def attachment_crc(content: memoryview) -> bool | None:
-    """Return whether the checksum of an attachment matches; None if it carries none (0)."""
+    """Return whether the checksum at the end of an attachment record's content matches; None if it carries none (0)."""
     crc = int.from_bytes(content[-4:], "little")
     return zlib.crc32(content[:-4]) == crc if crc else None
 
 
 def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int, memoryview, int]:
-    """Return opcode, content and end of the record at `offset`.
+    """Return opcode, content and end offset of the MCAP record at `offset` of `view`.
 
     Raises:
         DamageError: the record ends after `end` (default: the end of `view`).
@@ -125,19 +125,20 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
 
 
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
-    """Return the records of `chunk`, checked against its size and checksum; memory stays within its claimed size.
+    """Return the decompressed records of a chunk, checked against the size and checksum that the chunk states.
 
-    A chunk without a checksum (0) is accepted, unless `need_crc`.
+    Decompression never needs more memory than the stated size. A chunk without a checksum (0) is accepted, unless
+    `need_crc`.
 
     Raises:
         DamageError: size or checksum differ, or the data cannot be decompressed.
     """
     size = chunk.uncompressed_size
     if chunk.compression not in _DECOMPRESS:
-        raise DamageError(f"unknown compression {chunk.compression!r}")
+        raise DamageError(f"a chunk has the unknown compression {chunk.compression!r}; known are none, zstd and lz4")
     data = _DECOMPRESS[chunk.compression](chunk.data, size)
     if len(data) != size:
-        raise DamageError(f"a chunk holds {len(data)} bytes instead of {size}")
+        raise DamageError(f"a chunk holds {len(data)} decompressed bytes instead of the {size} that it states")
     if chunk.uncompressed_crc == 0 and need_crc:
         raise UncheckedError("a chunk carries no checksum")
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
@@ -172,7 +173,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
 
 
 def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[RawMessage]:
-    """Yield the messages of the selected channels (None: all) from decompressed, checked chunk content.
+    """Yield the messages of the wanted channel ids (None: of all) from the decompressed, checked content of a chunk.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -185,7 +186,7 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
             _, length, channel_id, sequence, log_time, publish_time = unpack(records, offset)
             end = offset + RECORD_HEAD.size + length
             if length < skip or end > stop:
-                raise DamageError(f"a message of {length} bytes does not fit into its chunk")
+                raise DamageError(f"a message record of {length} bytes does not fit into its chunk")
             if wanted is None or channel_id in wanted:
                 yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end])
             offset = end
@@ -194,7 +195,9 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
 
 
 def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield channel, log time and offset of each message in decompressed chunk content, as in a message index.
+    """Yield channel id, log time [ns] and offset of each message in the decompressed content of a chunk.
+
+    A message index contains the same figures.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -211,7 +214,7 @@ def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
 
 
 def count(records: memoryview, most: int) -> int:
-    """Return the number of records in decompressed chunk content; counting stops just above `most`.
+    """Return the number of records in the decompressed content of a chunk; counting stops at `most` + 1.
 
     Raises:
         DamageError: the content is not a sequence of records.
@@ -230,7 +233,7 @@ def count(records: memoryview, most: int) -> int:
 
 
 def definitions(records: memoryview) -> Iterator[mcap_records.Schema | mcap_records.Channel]:
-    """Yield schemas and channels in decompressed chunk content (or in a summary section).
+    """Yield the schemas and channels that the decompressed content of a chunk (or a summary section) defines.
 
     Raises:
         DamageError: the content is not a sequence of records.

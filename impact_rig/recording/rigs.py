@@ -30,7 +30,7 @@ _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswit
 
 
 def prefix_of(name: str, topic: topics.Topic) -> str | None:
-    """Return the prefix of a topic's relative name (`/rig/`); None if the name does not belong to that topic."""
+    """Return the part of a full name before the relative name of a topic: `/rig/` of `/rig/daq/scan`; else None."""
     if name == topic.name:
         return ""
     return name.removesuffix(topic.name) if name.endswith(f"/{topic.name}") else None
@@ -58,12 +58,12 @@ def _longest(name: str) -> str | None:
 
 
 def namespace(prefix: str) -> str:
-    """Return the namespace of a prefix as users write it: `/rig`, or `/`."""
+    """Return the namespace of a topic prefix as users write it: `/rig` for `/rig/`, and `/` for the root."""
     return prefix.rstrip("/") or "/"
 
 
 def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
-    """Return the prefix of the requested rig.
+    """Return the topic prefix of the requested rig of a recording, such as `/rig/`; `/` if there is no rig.
 
     Args:
         known: prefixes of the rigs in a recording.

@@ -65,15 +65,18 @@ from impact_rig.system import files
 from impact_rig.system.files import NEW_FILE
 
 CONTINUES_RECORD_NAME = "impact_rig/continues"
-"""Metadata record of a file of a split run: the name of the next file."""
+"""Name of the metadata record in a file of a split run that names the next file."""
 CHUNK_BYTES = 512 * 1024
-"""Uncompressed size at which a chunk is closed: 4 MiB stall the writer for 25 ms, a few hundred KiB for 1 to 3 ms."""
+"""Uncompressed size at which a chunk is closed.
+
+To compress 4 MiB stalls the writer for 25 ms, a few hundred KiB for 1 to 3 ms.
+"""
 CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it is small
 
 
 @attrs.define
 class _Channel:
-    """Topic of the run with its channel in the current file."""
+    """Topic of a run that is written, with its channel in the current file and its number of messages."""
 
     topic: TopicDescription
     has_header: bool
@@ -83,15 +86,15 @@ class _Channel:
 
 
 class RunWriter:
-    """Recorder of one run.
+    """Writer of one run: a directory with MCAP files and `metadata.yaml`.
 
     Args:
         directory: the run directory, created with its parents; files are named after it. It may exist, but must belong
             to this user and contain neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is overwritten.
         provenance: content of the `impact_rig` metadata record of every file; None means no record.
         attachments: attachments of every file; see `attach`.
-        account: account of received and lost messages; None means a new account without access to the graph.
-        closing: returns further metadata records, by name; called when a file is finished.
+        account: account of received and lost messages; None means a new one that does not know the publishers.
+        closing: function that returns further metadata records by name; it is called when a file is finished.
         clock: monotonic wall clock [s]; decides when an open chunk is due.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
@@ -123,7 +126,7 @@ class RunWriter:
     ) -> None:
         self.directory = directory
         self._provenance = provenance
-        self._in_force = {attachment.name: attachment for attachment in attachments}
+        self._attachments = {attachment.name: attachment for attachment in attachments}
         self._account = account or Account()
         self._closing = closing
         self._clock = clock
@@ -148,12 +151,12 @@ class RunWriter:
 
     @property
     def closed(self) -> bool:
-        """Return whether the run has ended: finished, or stopped by an error."""
+        """Return whether the run accepts no more messages: it is finished, or an error has stopped it."""
         return self._closed
 
     @property
     def message_count(self) -> int:
-        """Number of messages accepted so far."""
+        """Number of messages accepted so far, including those that wait for the first scan."""
         return sum(span.count for span in self._spans) + len(self._early)
 
     @property
@@ -163,7 +166,7 @@ class RunWriter:
 
     @property
     def files(self) -> list[Path]:
-        """The MCAP files of the run, in order."""
+        """Paths of the MCAP files of the run, in the order of writing."""
         return [self.directory / span.path for span in self._spans]
 
     def add_topic(self, topic: TopicDescription) -> None:
@@ -184,19 +187,19 @@ class RunWriter:
             self._channels[topic.name] = channel
         elif known.topic.type_name != topic.type_name:
             raise RecordingError(
-                f"topic {topic.name} is recorded as {known.topic.type_name}: messages of type {topic.type_name} on "
-                "it are ignored"
+                f"topic {topic.name} is recorded with the type {known.topic.type_name}: messages of type "
+                f"{topic.type_name} on it are not recorded"
             )
 
     def write(
         self, topic_name: str, data: bytes, publish_time_ns: int, sequence: int = 0, table: Table | None = None
     ) -> None:
-        """Record one message.
+        """Record one message, with the rig time of its reception as its log time.
 
         Args:
             topic_name: name of a registered topic.
             data: CDR bytes as received.
-            publish_time_ns: DDS source time.
+            publish_time_ns: time at which its publisher sent it (DDS source time) [ns, Unix].
             sequence: publication sequence number of the publisher (its low 32 bits are kept); 0 means none.
             table: the table in `data`, if it has been decoded.
 
@@ -225,9 +228,9 @@ class RunWriter:
         self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
 
     def _begin_without_scans(self) -> None:
-        """Write the messages of a run without scans.
+        """Write the messages that wait for a first scan, because the run ends without one or too many wait.
 
-        They get the time of their newest stamp or, without stamps, their publish times.
+        Their log time is the newest of their stamps; without stamps, each has its publish time.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         newest_ns = max(stamps, default=0)
@@ -237,7 +240,7 @@ class RunWriter:
         self._early, self._early_bytes = [], 0
 
     def _write_early(self) -> None:
-        """Write the messages received before the first scan, with the time of that scan."""
+        """Write the messages that waited for the first scan, with the rig time of that scan as their log time."""
         for one in self._early:
             self._write_one(one)
         self._early, self._early_bytes = [], 0
@@ -248,7 +251,10 @@ class RunWriter:
         self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
-        """Record one message at a given log time, without counting it in the account; otherwise like `write`."""
+        """Record one message at a given log time [ns], without counting it in the account of losses.
+
+        The other arguments are those of `write`; the topic must be registered.
+        """
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
     def _write(
@@ -279,7 +285,7 @@ class RunWriter:
                 self._flush_if_due()
 
     def secure(self) -> None:
-        """Make sure that all accepted messages survive if this process is killed; this needs `tail`.
+        """Write all accepted messages to the tail, so that they survive if this process is killed; needs `tail=True`.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -290,7 +296,7 @@ class RunWriter:
                 self._tail.secure()
 
     def flush_due(self) -> None:
-        """Close the open chunk if it has been open for `CHUNK_OPEN_S`; call this from a timer, at least every 0.25 s.
+        """Close and write the open chunk if it has been open for `CHUNK_OPEN_S`; a timer must call this every 0.25 s.
 
         Raises:
             RecordingError: the run had to stop.
@@ -300,11 +306,11 @@ class RunWriter:
                 self._flush_if_due()
 
     def attach(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Store a file inside the recording; a further file of a split run begins with the attachments of its start.
+        """Store a file inside the recording, now and at the start of each further MCAP file of a split run.
 
         Args:
             attachment: the file.
-            instead_of: name of the attachment that this one replaces; of several successive ones, that of the first.
+            instead_of: name of the attachment that this one replaces in further files; of successive ones, the first.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -316,14 +322,19 @@ class RunWriter:
             self._file.commit()
 
     def supersede(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Replace an attachment in further files of a split run; the file that is open stays unchanged."""
-        self._in_force[instead_of or attachment.name] = attachment
+        """Replace an attachment in further MCAP files of a split run; arguments as for `attach`.
+
+        The MCAP file that is open stays unchanged.
+        """
+        self._attachments[instead_of or attachment.name] = attachment
 
     def finish(self) -> Path:
-        """Finish the run and return its directory; a second call, or one after an error, has no effect.
+        """Finish the run (last chunk, index, `metadata.yaml`) and return its directory.
+
+        A second call, or one after an error, has no effect.
 
         Raises:
-            RecordingError: the disk has no space for index or `metadata.yaml`; the messages on disk are intact.
+            RecordingError: index or `metadata.yaml` cannot be written; the messages on disk are intact.
         """
         if not self._closed:
             self._begin_without_scans()
@@ -351,7 +362,7 @@ class RunWriter:
         file.add_metadata(description.BAG_RECORD_NAME, description.bag_record(self._information()))
         if self._provenance is not None:
             file.add_metadata(RECORD_NAME, protect(self._provenance.to_record()))
-        for attachment in self._in_force.values():
+        for attachment in self._attachments.values():
             self._write_attachment(attachment)
         for channel in self._channels.values():
             self._register(channel)
@@ -396,7 +407,7 @@ class RunWriter:
             self._close()
 
     def _close(self) -> None:
-        """Close all open files in their present state; a tail that is still needed stays."""
+        """Close all open files in their present state; a tail whose messages are in no chunk yet stays on disk."""
         self._file.close()
         if self._tail is not None:
             self._tail.close()
@@ -434,12 +445,12 @@ class RunWriter:
         if self._failure is not None:
             raise self._failure
         if self._closed:
-            raise RecordingError(f"the recording {self.directory} is finished")
+            raise RecordingError(f"the recording {self.directory} is finished, so it accepts no more messages")
 
     def stop(self, error: RecordingError) -> None:
         """End the run because of `error`, which every later call raises again.
 
-        Files finished before it remain a readable run; the open file is closed as it is.
+        MCAP files that are finished remain a readable run; the open one is closed without an index.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -451,7 +462,7 @@ class RunWriter:
 
 
 class _StoppingOnError:
-    """Context that ends a run that failed to write: later calls repeat the error instead of causing damage.
+    """Context whose RecordingError ends the run: later calls repeat the error, and write nothing after the damage.
 
     It is a class, not a generator, because every message passes through it.
     """
@@ -468,12 +479,12 @@ class _StoppingOnError:
 
 
 MOST_EARLY, MOST_EARLY_BYTES = 20_000, 16 * 2**20
-"""Limits [messages, bytes] of what waits for the first scan, which defines the rig time of reception."""
+"""Limits of the messages that wait for the first scan, which defines their log time: number, and size [bytes]."""
 
 
 @attrs.frozen
 class _Early:
-    """Message received before the first scan."""
+    """Message that was received before the first scan, and waits for it."""
 
     channel: _Channel
     data: bytes
@@ -493,15 +504,15 @@ class LogClock:
         self._offset_ns = 0  # offset from the stamps of a restarted rig to log times
 
     def go_on(self, now_ns: int) -> None:
-        """Advance to a time."""
+        """Advance the log time to `now_ns`; an earlier time has no effect."""
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
-        """Return the log time of a block, which is that of its first scan.
+        """Advance the log time to the first scan of a received block, and return it: the log time of the block.
 
         Args:
-            first_ns: stamp of its first scan.
-            last_ns: stamp of its last scan.
+            first_ns: stamp of its first scan [ns].
+            last_ns: stamp of its last scan [ns].
         """
         now_ns = _clamp(first_ns) if self.now_ns is None else self.now_ns
         if first_ns < now_ns and first_ns + self._offset_ns < now_ns:
@@ -512,7 +523,7 @@ class LogClock:
         return log_time
 
     def end_block(self) -> None:
-        """Advance to the last scan of the current block."""
+        """Advance the log time to the last scan of the block of the last `begin_block`, which has been written."""
         self.now_ns = self._end_ns
 
 
@@ -521,7 +532,7 @@ def _carries_scans(topic: TopicDescription) -> bool:
 
 
 def _clamp(time_ns: int) -> int:
-    """Limit a time to the range of rosbag2, whose times are signed; those of MCAP are not."""
+    """Return a time limited to 0 … INFINITE_NS: times of MCAP are unsigned, those of rosbag2 signed 64-bit integers."""
     return min(max(0, time_ns), INFINITE_NS)
 
 
@@ -533,7 +544,7 @@ def _stamp(data: bytes) -> int:
 
 
 def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
-    """Return the times of a block's first and last scan, or None if it is not a table with scans."""
+    """Return the stamps of the first and last scan of a block [ns]; None if the message is not a table with scans."""
     try:
         table = table or codec.decode(data)
     except CodecError:
@@ -542,7 +553,7 @@ def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
 
 
 def make_room(directory: Path) -> None:
-    """Create the directory of a run, with its parents, if needed.
+    """Create the directory of a run with its parents, and check that it can take a recording.
 
     Raises:
         RecordingError: the directory cannot be created, belongs to another user, or contains a recording: nothing is
@@ -578,7 +589,7 @@ _INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and a
 
 
 class _Buffer(io.BytesIO):
-    """Memory buffer that knows its offset in the file."""
+    """Memory buffer for the records that are not written yet, whose position counts from the begin of the file."""
 
     committed = 0
 
@@ -598,7 +609,7 @@ class _Buffer(io.BytesIO):
 
 
 class McapFile:
-    """MCAP file of profile `ros2`, opened exclusively.
+    """MCAP file of profile `ros2` that is written, and locked meanwhile; records wait in memory for `commit`.
 
     Args:
         path: path of a new file.
@@ -668,7 +679,7 @@ class McapFile:
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Add a message to the open chunk; return whether this closed the chunk, which then waits for `commit`."""
+        """Add a message to the open chunk; return whether it filled the chunk, which is then closed for `commit`."""
         self._largest_message = max(self._largest_message, len(data))
         sequence &= SEQUENCE_MASK
         self._messages.append((channel, log_time, data, publish_time, sequence))
@@ -680,13 +691,13 @@ class McapFile:
         return True
 
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
-        """Add a metadata record; it waits for `commit`."""
+        """Add a metadata record; `commit` writes it."""
         self._index_bytes += len(name) + 64
         self._writer.add_metadata(name, dict(record))
         self._digests.add_metadata(name, record)
 
     def add_attachment(self, attachment: Attachment, log_time: int, create_time: int) -> None:
-        """Add an attachment; it waits for `commit`."""
+        """Add an attachment with these times [ns]; `commit` writes it."""
         self._index_bytes += len(attachment.name) + len(attachment.media_type) + 128
         self._writer.add_attachment(create_time, log_time, attachment.name, attachment.media_type, attachment.data)
         self._digests.add_attachment(
@@ -694,18 +705,18 @@ class McapFile:
         )
 
     def add_record(self, record: bytes) -> None:
-        """Add a complete record unchanged; it waits for `commit`."""
+        """Add the bytes of a complete record, which bypasses index and statistics; `commit` writes it."""
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Withdraw the records that wait for `commit`, and return them."""
+        """Remove all records that wait for `commit`, and return their bytes."""
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()
         return records
 
     def close_chunk(self) -> None:
-        """Close the open chunk if it contains a message; it then waits for `commit`.
+        """Close the open chunk if it contains a message; `commit` then writes it.
 
         The library receives all messages of a chunk together; one by one, each would cost three times as much.
         """
@@ -716,7 +727,7 @@ class McapFile:
         self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments, not results
 
     def commit(self) -> None:
-        """Pass all complete records to the operating system.
+        """Write all complete records to the file, so that they survive if this process is killed.
 
         Raises:
             RecordingError: the records cannot be written; the file ends with the last complete record.
@@ -739,7 +750,7 @@ class McapFile:
         self._buffer.drain()
 
     def shortage(self) -> str:
-        """Return the reason why one more chunk and the index might not fit on the disk, or an empty text."""
+        """Return the reason why one more chunk and the index may not fit on the disk; empty if they fit."""
         index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -748,14 +759,17 @@ class McapFile:
         space = os.fstatvfs(self._fd)
         free = space.f_bavail * space.f_frsize
         if free < needed + MIN_FREE_BYTES:
-            return f"only {free / 1e6:.0f} MB are free on its disk ({MIN_FREE_BYTES / 1e6:.0f} MB are left untouched)"
+            return (
+                f"only {free / 1e6:.0f} MB are free on its disk, {(needed + MIN_FREE_BYTES) / 1e6:.0f} MB are needed: "
+                f"the next chunk, the index, and {MIN_FREE_BYTES / 1e6:.0f} MB that stay free"
+            )
         return ""
 
     def finish(self) -> None:
-        """Write summary, index and statistics, and close the file.
+        """Write the last chunk, the digests, and the summary with index and statistics, and close the file.
 
         Raises:
-            RecordingError: the disk has no space for them; the records before them are intact.
+            RecordingError: they cannot be written; the records before them are intact.
         """
         try:
             self.close_chunk()
@@ -767,21 +781,21 @@ class McapFile:
             self.close()
 
     def close(self) -> None:
-        """Close the file in its present state."""
+        """Close the file in its present state; a second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 def _length(record: McapRecord) -> int:
-    """Return the size of a record in bytes."""
+    """Return the size of an MCAP record in bytes, with its head."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.count
 
 
 def _create(path: Path) -> int:
-    """Create a file and lock it while this process writes it, so that readers can detect that its writer is alive."""
+    """Create a file and return its descriptor; a lock on it shows readers that this process still writes it."""
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
@@ -808,17 +822,17 @@ _SIZES = struct.Struct("<IQ")
 
 
 def tail_of(recording: Path) -> Path:
-    """Return the path of the tail of an MCAP file, which may not exist."""
+    """Return the path of the tail of an MCAP file, which need not exist: the file with its open chunk (`Tail`)."""
     return recording.with_name(recording.name + TAIL_SUFFIX)
 
 
 class Tail(McapFile):
-    """Tail: a file with the content of the open chunk of a recording.
+    """Tail of a recording: a second file with the messages of its open chunk, which a kill would otherwise lose.
 
     Args:
-        recording: the MCAP file.
-        follows: its size [bytes].
-        topics: topics in the order of registration there, so that ids are equal.
+        recording: path of the MCAP file whose chunk is open.
+        follows: size of that file, without the open chunk [bytes].
+        topics: its topics in the order of their registration, so that channel ids are equal in both files.
         chunk_bytes: chunk size of the recording.
 
     Raises:
@@ -836,7 +850,7 @@ class Tail(McapFile):
         self._records = [self.take_back()]  # readers trust definitions only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Keep a message for the next `secure`; no record waits for `commit`."""
+        """Keep a message until the next `secure`; return False, because no chunk is closed."""
         length = MESSAGE_HEAD.size - RECORD_HEAD.size + len(data)
         head = MESSAGE_HEAD.pack(MESSAGE, length, channel, sequence & SEQUENCE_MASK, log_time, publish_time)
         self._records += head, data
@@ -844,11 +858,11 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return an empty text: the recording leaves space for much more than one chunk."""
+        """Return an empty text, because the check of the recording itself leaves space for this chunk, too."""
         return ""
 
     def secure(self) -> None:
-        """Pass the messages since the last call to the operating system.
+        """Write the messages since the last call to this file, so that they survive if this process is killed.
 
         Raises:
             RecordingError: the messages cannot be written.
@@ -859,7 +873,7 @@ class Tail(McapFile):
         self.commit()
 
     def remove(self) -> None:
-        """Remove the file, because the chunk has been written.
+        """Delete this file, because its messages are now in a chunk of the recording.
 
         Raises:
             RecordingError: the file cannot be removed.
@@ -870,7 +884,10 @@ class Tail(McapFile):
 
 
 def _chunk(content: bytes, first_ns: int, last_ns: int) -> bytes:
-    """Return an uncompressed Chunk record (MCAP format specification, version 0) of definitions and messages."""
+    """Return the bytes of an uncompressed MCAP Chunk record with these records of definitions and messages.
+
+    Source: MCAP format specification, version 0. The times are the first and last log time [ns].
+    """
     head = CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content))
     sizes = _SIZES.pack(0, len(content))  # an empty compression name
     length = len(head) + len(sizes) + len(content)

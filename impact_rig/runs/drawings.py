@@ -42,13 +42,13 @@ NAMES = ("time_traces", "phase_plane", "spectrum", "curves")
 TRACED_CYCLES = 8
 SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over a cycle divided by this number
 SHOWN = (("laser", "1"), ("base", "b"), ("accelerometer", "1"), ("current", ""))
-"""Channel, and index of its symbol; phase plane and spectrum show the first of these channels that a run has."""
+"""Channels, each with the index of its symbol; phase plane and spectrum show the first of them that a run has."""
 HARMONICS = 10.5
 UNDRIVEN_HZ = 100.0  # the spectrum ends after this many harmonics of the drive, or at this frequency without a drive
 
 
 def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAMES) -> None:
-    """Create the directory of the figures before a long analysis, so that it cannot fail at the end.
+    """Create the directory of the figures, and check before a long analysis that they can be written there.
 
     Raises:
         RecordingError: the directory cannot be created or written to, or contains figures already.
@@ -66,7 +66,9 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw a run; return the excerpt that was drawn, and the files written to `directory`.
+    """Draw the figures of a run; return the excerpt that was drawn, and the paths of the files in `directory`.
+
+    `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
         RecordingError: there are too few scans, or a file cannot be written.
@@ -94,19 +96,19 @@ def draw(
 
 
 def channel_units(run: Run) -> dict[str, str]:
-    """Return the SI unit of each channel of a run."""
+    """Return the SI unit of each channel of a run, by name, as its calibration states it."""
     return {row["name"].decode(): row["unit"].decode() for row in calibration_rows(run)}
 
 
 def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
-    """Return the channel of the phase plane and spectrum, its factor, its unit and its name in a drawing."""
+    """Return the channel that phase plane and spectrum show, the factor to its drawn unit, that unit, its symbol."""
     channel, index = next(one for one in SHOWN if one[0] in (rows.dtype.names or ()))
     factor, _, unit = drawings.MOTIONS[units[channel]]
     return channel, factor, unit, drawings.symbol(index, units[channel]) if index else f"the {channel}"
 
 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
-    """Return label -> settled rows of `transmissibility/table`, one curve per gap and direction of the sweep.
+    """Return the settled rows of `transmissibility/table` by label, one curve per gap and direction of the sweep.
 
     A gap measured at a single frequency is no curve, so it is left out if another gap has at least two frequencies.
     """
@@ -130,7 +132,10 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
 
 
 def aliasing(info: NDArray[np.void]) -> str:
-    """Return a note on how the scan rate aliases the pulses of the accelerometer; empty if it resolves them."""
+    """Return a remark for drawings that the scan rate aliases the pulses of the accelerometer; empty if it does not.
+
+    `info` are rows of `daq/info`.
+    """
     found = info[info["name"] == b"accelerometer"]
     if not len(found):
         return ""
@@ -145,14 +150,14 @@ def aliasing(info: NDArray[np.void]) -> str:
 
 
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
-    """Add a title to a figure with the run and an optional description; return the figure."""
+    """Give a figure a title of the name of the run and an optional description; return the figure."""
     name = run.path.name.replace("$", r"\$")  # next to the mathematical symbols of `what`
     figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
     return figure
 
 
 def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
-    """Write a figure in some formats and return the paths; existing files are not overwritten.
+    """Write a figure to `stem` plus the suffix of each format, and return the paths; no file is overwritten.
 
     Raises:
         RecordingError: the figure cannot be written.

@@ -63,8 +63,9 @@ def export(run: Run, topic: str, target: Path) -> Path:
         The path `target`.
 
     Raises:
-        RecordingError: the suffix is unknown, `target` exists or cannot be written, the topic carries no tables or
-            changes its columns, or a library is missing: pyarrow for Parquet, pyuff for UFF.
+        RecordingError: the suffix is unknown, `target` exists or cannot be written, or the topic carries no tables or
+            changes its columns.
+        ImpactRigError: a library is missing: pyarrow for Parquet, pyuff for UFF.
 
     Examples:
         >>> import pathlib, impact_rig
@@ -78,10 +79,10 @@ def export(run: Run, topic: str, target: Path) -> Path:
 
 
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
-    """Write columns to `target` and return it; see `export`."""
+    """Write batches of columns to the new file `target`, in the format of its suffix, and return its path."""
     write = _WRITERS.get(target.suffix)
     if write is None:
-        raise RecordingError(f"{target} must end in one of {', '.join(_WRITERS)}")
+        raise RecordingError(f"the name of the new file {target} must end in one of {', '.join(_WRITERS)}")
     kept = RecordingError(f"{target} exists already and is not overwritten")
     if os.path.lexists(target):
         raise kept
@@ -106,7 +107,7 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
 
 
 def _journal_columns(run: Run) -> Columns:
-    """Return the journal, one row per entry, with values and faults as JSON."""
+    """Return the journal of a run as columns, one row per entry; values and faults are JSON texts."""
     found = [
         (is_earlier(run, message), entry)
         for message in run.messages([topics.JOURNAL.name], recorded_order=True)
@@ -143,7 +144,7 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a column for a text file: dates become ISO 8601 to the nanosecond."""
+    """Return a column as it is written to a text file: dates as ISO 8601 text to the nanosecond, others unchanged."""
     return np.datetime_as_string(column, unit="ns") if column.dtype.kind == "M" else column  # type: ignore[call-overload]
 
 
@@ -181,7 +182,7 @@ def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _datasets(columns: Columns) -> list[dict[str, object]]:
-    """Return the functions of a universal file; non-numeric columns are left out."""
+    """Return the datasets of a universal file for pyuff: time and frequency responses of the numeric columns."""
     found: list[dict[str, object]] = []
     numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
     x = numbers.pop(TIME, None)
@@ -195,14 +196,16 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
     if {"frequency", "transmissibility", "phase"} <= numbers.keys():
         found += _response_functions(numbers, columns.get(CURVE))
     if not found:
-        raise RecordingError("UFF holds functions of time or frequency; this table has neither")
+        raise RecordingError(
+            "a UFF file holds functions of time or frequency; this table has neither: use .csv, .npz or .parquet"
+        )
     return found
 
 
 def _response_functions(
     numbers: Mapping[str, NDArray[np.float64]], curve: NDArray[np.generic] | None
 ) -> Iterator[dict[str, object]]:
-    """Yield X_1/X_b over frequency, one function per curve or gap; rows without a measurement are left out."""
+    """Yield the datasets of X_1/X_b over frequency, one per curve or gap; rows without a measurement are left out."""
     ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
     order = np.arange(len(ratio))
     if curve is None:
@@ -219,10 +222,10 @@ def _response_functions(
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
-    """Return a function in pyuff's format; the abscissa is written out unless it is evenly spaced.
+    """Return y over x as a dataset 58 for pyuff, with its abscissa unless it is an evenly spaced time.
 
-    If the abscissa is even, the file holds its start and step with six digits each, from which readers compute the
-    other values.
+    Of an evenly spaced time, the file holds start and step with six digits each, from which readers compute the other
+    values.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file

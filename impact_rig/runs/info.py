@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""One-screen summary of a run: its contents and integrity.
+"""Summary of a recorded run for `impact-rig info`: its contents, and a verdict about its integrity.
 
 Every message is read, so every checksum is checked.
 """
@@ -49,7 +49,7 @@ SAME_RATE = 1e-6  # relative deviation of the scan rate, by the times in a block
 
 @attrs.frozen
 class TopicInfo:
-    """Figures of one topic.
+    """Figures of one recorded topic: number, rate, times and size of its messages.
 
     Attributes:
         first_ns, last_ns: earliest and latest log time [ns]; 0 without messages.
@@ -59,7 +59,7 @@ class TopicInfo:
     type_name: str
     count: int
     rate_hz: float | None
-    """Messages per second of rig time between its first and last message; None with fewer than two stamps."""
+    """Messages per second of log time between its first and last message; None with fewer than two log times."""
     first_ns: int
     last_ns: int
     bytes: int  # size of its messages as CDR [bytes]
@@ -67,11 +67,11 @@ class TopicInfo:
 
 @attrs.frozen
 class RunInfo:
-    """Figures of one run."""
+    """Summary of one recorded run, as `info` returns it."""
 
     path: Path
-    files: tuple[tuple[str, int], ...]
-    start_ns: int
+    files: tuple[tuple[str, int], ...]  # name and size [bytes] of each MCAP file
+    start_ns: int  # log time of the earliest message [ns]; end_ns: of the latest
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in order of registration
     rate_hz: float | None  # scans per second of `daq/scan`, of the first rig if there are two; None without scans
@@ -79,13 +79,13 @@ class RunInfo:
     rig_s: float | None  # rig time spanned by the stamps of the scans [s], the longest of all rigs; None without scans
     scans: Contiguity | None  # whether its blocks are contiguous; None without scans
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, and more; empty for files of other recorders
-    attachments: Mapping[str, int]
-    configuration: str | None
+    attachments: Mapping[str, int]  # size of each file stored inside the run [bytes], by name
+    configuration: str | None  # text of the attached configuration
     lost: Mapping[str, int]  # messages that never reached the recorder, by topic; topics without losses are left out
-    accounted: bool
+    accounted: bool  # whether the recorder kept an account of received and lost messages
     recovered: Recovered | None  # losses of a recovery; None for an original recording
     intact: bool  # whether all checksums match, and no message is known to be missing
-    verdict: str
+    verdict: str  # one sentence about the integrity of the run
     checksums: structure.Checksums
     rigs: tuple[str, ...]  # namespaces
     origin: Mapping[str, str]  # for an imported run: what was read, assumed and left out; empty for others
@@ -97,17 +97,17 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time spanned by `daq/scan` [s], from the first scan to the end of the last; `log_s` without scans."""
+        """Rig time from the first recorded scan to the end of the last [s]; `log_s` without scans."""
         return self.log_s if self.rig_s is None else self.rig_s
 
     @property
     def messages(self) -> int:
-        """Number of messages read."""
+        """Number of messages that could be read, on all topics."""
         return sum(topic.count for topic in self.topics)
 
     @property
     def bytes(self) -> int:
-        """Size of all files [bytes]."""
+        """Size of all MCAP files of the run [bytes]."""
         return sum(size for _, size in self.files)
 
 
@@ -195,7 +195,10 @@ def _verdict(
     accounted: bool,
     recovered: bool,
 ) -> str:
-    """Return the verdict; a run is complete only if its recorder kept an account and missed nothing."""
+    """Return the verdict on a run without damage, as one sentence.
+
+    It calls a run whole only if its recorder kept an account of lost messages, and nothing is missing.
+    """
     begin = f"recovered: {checked}" if recovered else str(checked)
     if missing:
         return f"{begin}, but {'; '.join(missing)}"
@@ -212,7 +215,7 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return whether the blocks of each rig are contiguous; None if a rate is unknown.
+    """Return the gaps between the blocks of all rigs of a recording together; None if a scan rate is unknown.
 
     If a recording has several rigs, their blocks alternate, and each block follows a block of the same rig.
     """
@@ -249,7 +252,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return the missing files of a run, as far as the others name them."""
+    """Return a clause for the verdict on each missing file of a run that its other files show to be missing."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
@@ -259,7 +262,7 @@ def _absent_files(run: Run) -> list[str]:
 
 
 def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
-    """Return the contradictions between the messages in the files and the recorder's account."""
+    """Return clauses for the verdict: contradictions between the messages in the files and the recorder's account."""
     short, twice, uncounted = [], [], []
     for name, numbers in tally.sequences.items():
         streams = account.get(name)
@@ -278,7 +281,7 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
     contradictions = {
         "messages that were received are not in it": short,
         "messages are in it twice": twice,
-        "without an account by the recorder": uncounted,
+        "topics without an account by the recorder": uncounted,
     }
     return [f"{what}: {', '.join(which)}" for what, which in contradictions.items() if which]
 
@@ -314,7 +317,7 @@ class _Count:
 
 @attrs.define
 class _RigScans:
-    """Facts about the scans of one rig."""
+    """Facts about the scans of one rig in a recording, collected message by message."""
 
     blocks: list[tuple[int, int]] = attrs.field(factory=list)
     starts: list[int] = attrs.field(factory=list)  # time of scan 0 of each start in the journal [ns]
@@ -324,7 +327,7 @@ class _RigScans:
 
     @property
     def rate_hz(self) -> float | None:
-        """Scans per second: from the times in a block, the calibration, or the stamps of two one-scan blocks."""
+        """Scans per second: from the times in a block, the calibration, or stamps of one-scan blocks; None: unknown."""
         found = self.from_times or next(iter(self.rates), None)
         if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
             found = self.rates[0]  # the calibration has the full precision
@@ -336,7 +339,7 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time from the first scan to the end of the last [s]; a new stretch begins if the stamps go back."""
+        """Rig time covered by the scans [s]; if the stamps go back (a restarted rig), the stretches are added."""
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
             if number == 0 or stamp_ns < begin_ns:
@@ -352,7 +355,7 @@ class _RigScans:
 
 
 class _Tally:
-    """Counts over the messages of a run."""
+    """Counts over the messages of a run: figures of each topic, and facts about the scans of each rig."""
 
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
@@ -366,7 +369,7 @@ class _Tally:
         """Sequence numbers of the messages of each topic, as given by their publishers."""
 
     def add(self, message: Message) -> None:
-        """Count one message; for a block of scans, also keep its stamp."""
+        """Count one message; also keep stamp and length of a block of scans, scan rates, starts and resets of rigs."""
         count = self._counts[message.topic]
         count.first_ns = message.log_time if not count.count else min(count.first_ns, message.log_time)
         count.last_ns = max(count.last_ns, message.log_time)

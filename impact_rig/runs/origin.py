@@ -24,14 +24,17 @@ MOST_LISTED = 12  # maximum number of items listed individually
 
 
 def origin(attachments: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the origin that a run's attachments state, as headings and texts; empty if the run was not imported."""
+    """Return the origin of an imported run (what was read, assumed and left out) as headings and texts.
+
+    `attachments` are the files stored inside the run, by name. The result is empty for a run that was not imported.
+    """
     text = attachments.get(SOURCE, b"")
     if not text or len(text) > LARGEST_BYTES:
         return {}
     try:
         return dict(_facts(json.loads(text)))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return {"origin": f"{SOURCE} is damaged"}
+        return {"origin": f"unknown: the attachment {SOURCE} is damaged"}
 
 
 def _facts(source: dict[str, object]) -> Iterator[tuple[str, str]]:

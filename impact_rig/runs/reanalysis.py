@@ -52,12 +52,12 @@ def analyze(
     settings: TrackerSettings | None = None,
     instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table,
 ) -> Iterator[Findings]:
-    """Yield the findings of the analysis in a run, message by message.
+    """Analyse a recorded run as the live node does, and yield the findings of each block of scans, then the last ones.
 
     Args:
         run: an open run.
-        settings: settings of the measurement; None means those of the live analysis.
-        instead: replaces tables of calibration or scans before the analysis sees them.
+        settings: settings of the measurement; None means those of the live analysis, or the defaults.
+        instead: function that replaces each table of `daq/info` or `daq/scan` before it is analysed.
 
     Raises:
         RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another type.
@@ -68,7 +68,7 @@ def analyze(
         tracker.label(label.gap_m, label.stamp_ns)
     found = {run.resolve(topic.name): topic for topic in _NEEDED}
     try:
-        for message in _in_force_first(run, found):
+        for message in _in_published_order(run, found):
             topic = found[message.topic]
             if topic is topics.INFO:
                 tracker.configure(instead(topic, run.table(message, topic)))
@@ -81,8 +81,10 @@ def analyze(
     yield tracker.flush(take_unsettled=is_measured(run.provenance))
 
 
-def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield scans in the order received, and each other message between the scans between which the rig published it.
+def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
+    """Yield the messages of some topics of a run in the order in which the rig published them.
+
+    Scans keep the order in which they were received.
 
     Each topic reaches a recorder independently. On a busy machine a change may arrive many scans late, and latched
     messages arrive late at a recorder that starts while the rig runs. Without a calibration nothing can be measured, so
@@ -103,7 +105,7 @@ def _in_force_first(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Mes
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the settings and labels of the live analysis; without one, the defaults and the operator's remarks.
+    """Return the settings and gap labels of the live analysis; without one, the defaults and the labels in remarks.
 
     Settings are read before the scans: a label names the scan it acts on, and may have been recorded after that scan.
     """
@@ -117,7 +119,7 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
 
 @attrs.frozen(eq=False)
 class _LiveSettings:
-    """Settings of a live analysis, and the time from which they apply."""
+    """Published settings of a live analysis, and the rig time from which they apply."""
 
     since_ns: int
     table: Table
@@ -127,7 +129,7 @@ class _LiveSettings:
 
 
 def _live_settings(run: Run) -> list[_LiveSettings]:
-    """Return the settings in the order of publication; invalid tables are skipped.
+    """Return the settings that live analyses of a run published, in order; invalid tables are skipped.
 
     The label of an analysis applies to all scans that it receives, from stamp 0 on. An analysis that was restarted
     during the run has received nothing before, so its settings apply from its start. Those of an analysis that ended
@@ -165,7 +167,7 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
 
 
 def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
-    """Return the rig time at which a message was received: the stamp of the newest scan before it."""
+    """Return the rig time at which message `number` of a topic was received: the stamp of the last scan before it."""
     name, scan = run.resolve(topic), run.resolve(topics.SCAN)
     newest_ns, count = 0, 0
     for message in run.messages([name, scan], recorded_order=True):
@@ -179,22 +181,22 @@ def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
 
 
 def remarks(run: Run) -> list[str]:
-    """Return the operator's remarks, in order."""
+    """Return the operator's remarks in a run (topic `notes`), in order."""
     return texts(run, topics.NOTES)
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
-    """Return the measurements among the findings, one table each."""
+    """Return all measurements in findings of the analysis, each as a table of one row."""
     return [table for found in findings for table in found.measurements]
 
 
 def rows(tables: list[Table]) -> NDArray[np.void]:
-    """Return the rows of measurement tables, shape (n,)."""
+    """Return the rows of measurement tables as one array of `TRANSMISSIBILITY`, shape (n,)."""
     return np.concatenate([table.rows for table in tables]) if tables else np.empty(0, TRANSMISSIBILITY)
 
 
 def newest_settled(tables: list[Table]) -> NDArray[np.void]:
-    """Return the last settled measurement at each gap and frequency, ascending, unknown gaps first; shape (n,)."""
+    """Return the last settled row at each gap and frequency, in ascending order, unknown gaps first; shape (n,)."""
     found = rows(tables)
     settled: NDArray[np.void] = found[found["settled"] == 1.0]
     keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)
@@ -203,7 +205,7 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
 
 
 def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]:
-    """Return the texts of a topic of std_msgs/String, in order; none if it was not recorded.
+    """Return the texts on a topic of type std_msgs/String, in order; empty if the topic was not recorded.
 
     Args:
         run: an open run.
@@ -232,18 +234,18 @@ def _text(cdr: bytes | memoryview) -> str:
 
 TOLERANCE = 1e-9  # relative tolerance between machines that differ in the last bits
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
-"""Columns that can be nearly zero compared with their inputs; their tolerance is 1e-9 of their unit."""
+"""Columns that can be nearly zero compared with the figures they derive from; their tolerance is 1e-9 of their unit."""
 DEFAULT_AHEAD, MOST_AHEAD = 16, 1000  # number of blocks that a rig may run ahead of its peers (time.ack_window)
 EDGE = 2  # measurements by which two topics of one analysis may differ at the start and the end of a recording
 LAG_S = 1.0
-"""Topics overtake each other: messages of this last stretch may not have reached a recorder that stops."""
+"""Duration before the end of a recording whose messages may be missing, because topics overtake each other."""
 
 _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 
 @attrs.frozen
 class Compared:
-    """Comparison result of one topic."""
+    """Result of comparing one topic, or of leaving it out."""
 
     topic: str
     count: int = 0  # number of rows or messages that were compared and agree
@@ -261,7 +263,7 @@ class Compared:
 
 @attrs.frozen
 class Agreement:
-    """Comparison result of a run."""
+    """Result of comparing the live results in a run with those of a later analysis of it."""
 
     same: bool | None  # whether everything that can be compared agrees; None if nothing can be compared
     identical: bool = False  # whether the compared results are equal bit for bit
@@ -277,7 +279,7 @@ class Agreement:
             return f"nothing to compare with: {self.reason}"
         live, offline = self.left_out
         rest = (
-            f"; rows from scans that only one of the two saw are not compared: {live} of the live analysis, "
+            f"; not compared are rows of scans that only one analysis received: {live} of the live analysis, "
             f"{offline} of this one"
         )
         where = (
@@ -296,7 +298,7 @@ class Agreement:
 
 @attrs.frozen
 class _Blind:
-    """Stretch of scans that one side has not received: those after `begin`, up to `end`."""
+    """Stretch of scans that one of the two analyses has not received: those after scan `begin`, up to `end`."""
 
     begin: float
     end: float
@@ -304,7 +306,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """Measurement of the scans after `begin`, up to `end`."""
+    """Row of one of the two analyses: it measures the scans after scan `begin`, up to `end`."""
 
     begin: int
     end: int
@@ -317,12 +319,12 @@ class _Row:
 
 
 def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Agreement:
-    """Compare the results of an offline analysis with those of the live one.
+    """Compare the results of a later analysis of a run with those of the live analysis that it contains.
 
     Args:
         run: an open run.
-        offline: measurements found in it.
-        impacts: impacts found in it; None skips their comparison.
+        offline: measurements of the later analysis.
+        impacts: impacts that it found; None skips their comparison.
 
     Raises:
         RecordingError: the run is damaged, or contains an invalid table.
@@ -331,18 +333,19 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         return Agreement(None, reason="this run was imported; it has no live analysis")
     version = arithmetic_of(run.provenance)
     if version not in ("", str(ARITHMETIC)):
-        return Agreement(None, reason=f"the live results were made with arithmetic {version}, this is {ARITHMETIC}")
+        reason = f"the live results were made with arithmetic version {version}, this program has {ARITHMETIC}"
+        return Agreement(None, reason=reason)
     settings = _live_settings(run)
     if any(one.in_turn for one in settings):
         return Agreement(None, reason="two analyses labelled this run at once: the source of each gap label is unknown")
     calibration = next(run.tables(topics.INFO), None) if run.holds(topics.INFO) else None
     if calibration is None or not len(calibration.rows):
-        return Agreement(None, reason=f"no {topics.INFO.name} is in this run")
+        return Agreement(None, reason=f"this run holds no {topics.INFO.name}, so its scan rate is unknown")
     rate_hz = round(float(calibration.rows["rate"][0]))
     blocks, tables = _recorded(run) if run.holds(_TABLE) else ([], [])
     live = _rows(tables, rate_hz)
     if not live:
-        return Agreement(None, reason="no live results are in this run")
+        return Agreement(None, reason="this run holds no results of a live analysis")
     ours = _rows(offline, rate_hz)
     gaps = check_contiguity(blocks, rate_hz).gaps
     data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
@@ -359,8 +362,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     if not theirs:
         return Agreement(
             None,
-            reason=f"live analysis and recording share no change: live from scan {live_blind[0].end:.0f}, recorded "
-            f"from {data_begin}, here from {ours[0].begin if ours else 'none'}",
+            reason="no measurement of the live analysis began at a change that is in the recording: live from scan "
+            f"{live_blind[0].end:.0f}, recorded from {data_begin}, here from {ours[0].begin if ours else 'none'}",
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
@@ -386,7 +389,7 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 
 
 def lag_s(run: Run, block_s: float) -> float:
-    """Return the largest delay of other topics relative to the scans at the end of a recording [s].
+    """Return how late messages of other topics may arrive after scans of their time, at the end of a recording [s].
 
     A rig that is not paced runs ahead of its peers by `time.ack_window` blocks.
 
@@ -402,7 +405,7 @@ def lag_s(run: Run, block_s: float) -> float:
 
 
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
-    """Return stamp and length of every block, and the live measurements of these blocks.
+    """Return stamp [ns] and length of every recorded block of scans, and the tables of the live measurements.
 
     Latched measurements from before the first recorded scan are left out.
     """
@@ -421,7 +424,7 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 
 
 def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
-    """Compare the settled values for plotters with their source rows."""
+    """Compare the topic of settled values for plotters with the live rows from which the analysis node made it."""
     name = topics.TRANSMISSIBILITY.name
     if not run.holds(name):
         return Compared(name, left_out="it is not in this run")
@@ -437,7 +440,10 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 
 
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
-    """Return whether values agree where both exist, if `shown` begins `shift` values later; the ends may differ."""
+    """Return whether two lists of values agree where both exist, if `shown` begins `shift` values after `settled`.
+
+    Their ends may differ by `EDGE` values.
+    """
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))
     return both > 0 and abs(len(ours) - len(theirs)) <= EDGE and ours[:both] == theirs[:both]
@@ -449,7 +455,7 @@ def _number(cdr: bytes | memoryview) -> float:
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
-    """Compare the detected impacts of the scans in `span`, which both sides have seen.
+    """Compare the impacts that both analyses detected in the scans of `span`, which both have received.
 
     Peaks are compared within `TOLERANCE`, because the state of the filter depends on where each side began.
     """
@@ -463,21 +469,25 @@ def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, 
     for count, ((scan, theirs), (found, here)) in enumerate(zip(live, ours, strict=False)):
         where = f"at {min(scan, found) / rate_hz:.6f} s"
         if scan != found:
-            return Compared(name, count, f"an impact {where} was found {'live' if scan < found else 'here'} only")
+            side = "live" if scan < found else "later"
+            return Compared(name, count, f"only the {side} analysis found an impact {where}")
         column = _different(theirs, here, exact=False)
         if column:
             return Compared(
-                name, count, f"{column} {where}: live {theirs[column].item()!r}, here {here[column].item()!r}"
+                name,
+                count,
+                f"{column} {where}: {theirs[column].item()!r} in the live analysis, here {here[column].item()!r}",
             )
     if len(live) != len(ours):
-        longer, side = (live, "live") if len(live) > len(ours) else (ours, "here")
+        longer, side = (live, "live") if len(live) > len(ours) else (ours, "later")
         scan = longer[min(len(live), len(ours))][0]
-        return Compared(name, min(len(live), len(ours)), f"an impact at {scan / rate_hz:.6f} s was found {side} only")
+        what = f"only the {side} analysis found an impact at {scan / rate_hz:.6f} s"
+        return Compared(name, min(len(live), len(ours)), what)
     return Compared(name, len(live), left_out="those of the first and last second are left out", what="impacts")
 
 
 def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
-    """Return the scan of each row and the row, in order."""
+    """Return each row of tables of impacts with the index of the nearest scan, in the order of scans."""
     found = [
         (_scan(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
         for table in tables
@@ -499,13 +509,16 @@ def _scan(stamp_ns: int, rate_hz: int) -> int:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the scans that the live analysis has not seen: those before its first, and lost ones."""
+    """Return the stretches that the live analysis has not received: before its first row, and after lost blocks."""
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
 
 
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
-    """Return whether the other side has seen all scans of a measurement, and has begun it at the same change."""
+    """Return whether a row can be compared: the other analysis received all its scans, and knew the change it began at.
+
+    `own` and `other` are the stretches that this and the other analysis have not received; `others` are its rows.
+    """
     if row.lost_blocks or any(row.begin < blind.end and row.end > blind.begin for blind in other):
         return False
     begins = {blind.end for blind in other} | {one.begin for one in others}
@@ -513,12 +526,15 @@ def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], other
 
 
 def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact: bool) -> tuple[str, bool]:
-    """Return the first difference, and whether all bits agree."""
+    """Return the first difference between live and offline rows (empty if none), and whether all bits agree.
+
+    Offline rows that end after scan `late` may be missing in the live ones. With `exact`, the last bits count, too.
+    """
     identical = True
     for theirs, found in zip(live, ours, strict=False):
         where = f"at {theirs.stamp_ns / NS_PER_S:.9f} s"
         if theirs.end != found.end:
-            return f"live measured {where}, here at {found.stamp_ns / NS_PER_S:.9f} s", False
+            return f"the live analysis measured {where}, this one at {found.stamp_ns / NS_PER_S:.9f} s instead", False
         column = _different(theirs.values, found.values, exact=True)
         if column:
             identical = False
@@ -528,20 +544,24 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
             if column:
                 return _named(where, column, theirs, found), False
     if len(live) > len(ours):
-        return f"the live result at {live[len(ours)].stamp_ns / NS_PER_S:.9f} s was not found again", False
+        return f"this analysis does not find the live row at {live[len(ours)].stamp_ns / NS_PER_S:.9f} s", False
     missing = [row for row in ours[len(live) :] if row.end <= late]
     if missing:
-        return f"the live analysis published nothing at {missing[0].stamp_ns / NS_PER_S:.9f} s; had it ended?", False
+        at_s = missing[0].stamp_ns / NS_PER_S
+        return f"the live analysis published nothing at {at_s:.9f} s, where this one has a row; had it ended?", False
     return "", identical
 
 
 def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
     live, here = theirs.values[column].item(), found.values[column].item()
-    return f"{column} {where}: live {live!r}, here {here!r}"
+    return f"{column} {where}: {live!r} in the live analysis, {here!r} in this one"
 
 
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
-    """Return the first column that differs, bit for bit or beyond the tolerance; empty if none does."""
+    """Return the first column in which two rows differ; empty if none does.
+
+    With `exact`, the bits count; otherwise differences within `TOLERANCE` do not.
+    """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]
         if a.tobytes() == b.tobytes():

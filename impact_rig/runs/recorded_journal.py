@@ -55,7 +55,7 @@ _PACKED = struct.Struct("<QQd")
 
 
 def of_run(run: Run) -> Iterator[JournalEntry]:
-    """Yield the entries of a run as they were recorded.
+    """Yield the entries of the journal of a run, in the order of recording.
 
     Raises:
         RecordingError: no journal was recorded.
@@ -66,7 +66,7 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
 
 def entries(message: Message) -> list[JournalEntry]:
-    """Return the entries in a recorded message of `rig/journal`; its type shows the version of the journal.
+    """Return the journal entries in a recorded message of `rig/journal`, of this version or of the third (a table).
 
     Raises:
         ConfigError: the message is not a valid journal.
@@ -93,7 +93,7 @@ def _entry(stamp_ns: int, rows: Sequence[np.void]) -> JournalEntry:
     try:  # rows that continue a change in another table have no start here
         kind = InputKind.PARAMETER if first["kind"] in _CONTINUE else InputKind(word)
     except ValueError:
-        raise ConfigError(f"journal row of unknown kind {word!r}") from None
+        raise ConfigError(f"a row of the recorded journal has the unknown kind {word!r}") from None
     sample, stamp = int(first["sample"]), stamp_ns + round(float(first["time"]) * NS_PER_S)
     name, value, text = bytes(first["key"]).decode(), float(first["value"]), bytes(first["text"]).decode()
     begins = kind in BEGINNINGS
@@ -137,4 +137,4 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
             kind=kind, channel=channel, start_sample=sample, samples=samples, value=value, seed=seed, rate_hz=rate
         )
     except (ValueError, struct.error, CommandError) as error:
-        raise ConfigError(f"not a valid fault of a journal: key {key!r}, text {text!r}") from error
+        raise ConfigError(f"a row of the recorded journal holds no valid fault: key {key!r}, text {text!r}") from error

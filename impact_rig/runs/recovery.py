@@ -73,7 +73,7 @@ _LAST_WINDOW_BYTES = 8 * 2**20
 
 @attrs.frozen
 class Found:
-    """Structurally valid record: its opcode, its offset in the file, and its length with its head [bytes]."""
+    """Place of a structurally valid MCAP record: opcode, offset in the file, and length with its head [bytes]."""
 
     opcode: int
     offset: int
@@ -82,7 +82,7 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """Lost part of a file: its offset and length [bytes], and the reason."""
+    """Part of a file that cannot be recovered: its offset and length [bytes], and the reason."""
 
     file: str
     offset: int
@@ -91,7 +91,7 @@ class Damage:
 
 
 class DamagedFile:
-    """File that may be truncated or damaged anywhere, opened for salvage; a context manager.
+    """MCAP file that may be truncated or damaged anywhere, opened for recovery; a context manager.
 
     Raises:
         RecordingError: the file cannot be opened or read.
@@ -115,15 +115,15 @@ class DamagedFile:
         os.close(self.fd)
 
     def read(self, found: Found) -> bytes:
-        """Return the bytes of a record, with its head."""
+        """Return the bytes of a record that `walk` has found, with its head."""
         return self._read(found.offset, found.length)
 
     def content(self, found: Found) -> memoryview:
-        """Return the content of a record."""
+        """Return the content of a record that `walk` has found, without its head."""
         return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
-        """Yield the records of the data section, and the damaged parts between them."""
+        """Yield the valid records of the data section in file order, and the damaged parts between them."""
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
             position = len(records.MAGIC)
@@ -236,30 +236,30 @@ ACCEPT = "--accept-unchecked"
 
 @attrs.define
 class _Blocks:
-    """Recovered blocks of one rig."""
+    """Recovered blocks of scans of one rig, from which the duration of recovered and missing scans follows."""
 
     _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans of each block
     _rate_hz: float | None = None
 
     def add(self, table: Table) -> None:
-        """Count a block."""
+        """Count a recovered block of scans."""
         self._found.append((table.stamp_ns, len(table.rows)))
         self._rate_hz = self._rate_hz or scan_rate_hz(table)
 
     @property
     def seconds(self) -> float:
-        """Duration of the scans [s]; 0 if their rate is unknown."""
+        """Duration of the recovered scans [s of rig time]; 0 if their rate is unknown."""
         return sum(length for _, length in self._found) / self._rate_hz if self._rate_hz else 0.0
 
     @property
     def missing_s(self) -> float:
-        """Duration of the scans that are missing between the blocks [s]."""
+        """Duration of the scans that are missing between the recovered blocks [s of rig time]."""
         return check_contiguity(self._found, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
 
 
 @attrs.define
 class FileReport:
-    """Recovery result of one file, including its tail."""
+    """Report of what was recovered from one damaged file and its tail, and what was not."""
 
     name: str
     size: int
@@ -288,7 +288,7 @@ class FileReport:
 
     @property
     def given_s(self) -> float:
-        """Duration of the recovered scans in rig time [s], the longest of all rigs."""
+        """Duration of the recovered scans [s of rig time]; with several rigs, the longest."""
         return max((one.seconds for one in self._scans.values()), default=0.0)
 
     @property
@@ -305,7 +305,7 @@ class FileReport:
 
 @attrs.define
 class RecoverReport:
-    """Result of `recover`."""
+    """Report of a recovery: what `recover` wrote to the new run, and what was damaged."""
 
     directory: Path
     files: list[FileReport] = attrs.field(factory=list)
@@ -315,29 +315,29 @@ class RecoverReport:
 
     @property
     def messages(self) -> int:
-        """Number of recovered messages."""
+        """Number of recovered messages, in all files."""
         return sum(file.messages for file in self.files)
 
     @property
     def chunks(self) -> int:
-        """Number of intact chunks that contained them."""
+        """Number of intact chunks from which messages were recovered."""
         return sum(file.chunks for file in self.files)
 
     @property
     def expected_messages(self) -> int | None:
-        """Original number of messages if every file has an index; None otherwise."""
+        """Number of messages in the undamaged run, as the indexes of its files count them; None if one is missing."""
         counts = [None if file.expected is None else file.expected.message_count for file in self.files]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def missing_messages(self) -> int | None:
-        """Number of messages not recovered; None if an index is missing."""
+        """Number of messages of the undamaged run that were not recovered; None if an index is missing."""
         return None if self.expected_messages is None else max(0, self.expected_messages - self.messages)
 
     @property
     def lost_bytes(self) -> int:
-        """Number of bytes left out."""
+        """Size of the damaged parts that were left out [bytes]."""
         return sum(file.lost_bytes for file in self.files)
 
     @property
@@ -346,13 +346,13 @@ class RecoverReport:
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
-        """Start and return the report of a file."""
+        """Add an empty report for a damaged file and return it."""
         found = FileReport(path.name, path.stat().st_size)
         self.files.append(found)
         return found
 
     def note(self, damage: Damage) -> None:
-        """Count and list a damaged part."""
+        """Add a damaged part to the counts of the report and its file, and to the list."""
         self.damage_count += 1
         for file in self.files:
             if file.name == damage.file.removesuffix(TAIL_SUFFIX):
@@ -361,7 +361,7 @@ class RecoverReport:
             self.damages.append(damage)
 
     def heal(self, file: str, offset: int) -> None:
-        """Withdraw the damage that begins at `offset`: its content is found elsewhere."""
+        """Remove the damage that begins at `offset` from the report, because the tail holds its messages."""
         for damage in self.damages:
             if (damage.file, damage.offset) == (file, offset):
                 self.damages.remove(damage)
@@ -377,7 +377,7 @@ RECORD_NAME = "impact_rig/recovered"  # metadata record of a recovered run
 
 @attrs.frozen
 class Recovered:
-    """Losses of a recovery."""
+    """Losses of a recovery, as the recovered run states them in a metadata record."""
 
     source: str
     damages: int
@@ -388,18 +388,20 @@ class Recovered:
 
     @property
     def incomplete(self) -> bool:
-        """Return whether anything is known to be missing in the run."""
+        """Return whether anything of the damaged run is known to be missing in the recovered one."""
         return self.damages > 0 or bool(self.missing_messages)
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record."""
+        """Return these losses as the content of the metadata record `RECORD_NAME`."""
         missing = "" if self.missing_messages is None else self.missing_messages
         content = {**attrs.asdict(self), "missing_messages": missing, "unfinished": int(self.unfinished)}
         return {name: str(value) for name, value in content.items()}
 
 
 def read_record(record: Mapping[str, str]) -> Recovered | None:
-    """Parse the record written by `Recovered.to_record`; None for a run without one, which was not recovered.
+    """Return the losses of a recovery from the metadata record `RECORD_NAME` of a run; None if the record is empty.
+
+    A run without this record was not recovered.
 
     Raises:
         DamageError: the record is invalid.
@@ -435,7 +437,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
         accept_unchecked: whether to accept chunks without a checksum, as rosbag2 writes by default: they may be wrong.
 
     Raises:
-        RecordingError: nothing intact was found (then nothing is written), `path` cannot be read or `out` written.
+        RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be
+            written.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
@@ -485,7 +488,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
 
 
 def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> Recovered:
-    """Return the losses of this recovery, including those of an earlier one of the same data."""
+    """Return the losses of this recovery plus those of an earlier one (None: none) that produced the damaged run."""
     before = earlier or Recovered(source.name, 0, 0, 0, unfinished=False)
     missing, missed = report.missing_messages, before.missing_messages
     return Recovered(
@@ -510,7 +513,7 @@ def _files(path: Path, report: RecoverReport) -> list[Path]:
 
 
 def _bytes(files: Iterable[Path]) -> int:
-    """Return the size of recordings and their tails."""
+    """Return the size of MCAP files and of their tails together [bytes]."""
     return sum(path.stat().st_size for file in files for path in (file, tail_of(file)) if path.exists())
 
 
@@ -518,7 +521,7 @@ _Key = tuple[int, int, int, int, int]
 
 
 def _key(message: records.RawMessage) -> _Key:
-    """Return a key that distinguishes a message from all others in its file."""
+    """Return a key by which to recognise the same message in a chunk and in a tail."""
     return message.channel_id, message.sequence, message.log_time, message.publish_time, zlib.crc32(message.data)
 
 
@@ -526,11 +529,11 @@ _OWN_RECORDS = (
     description.RECORD_NAME, description.TOPIC_RECORD_NAME, losses.RECORD_NAME, RECORD_NAME, TAIL_RECORD_NAME,
     digests.RECORD_NAME,
 )  # fmt: skip
-"""Metadata records that carry a checksum of this package."""
+"""Names of the metadata records of this package, which carry a checksum of their own."""
 
 
 class _Salvage:
-    """Salvage of one damaged file: definitions, attachments and provenance on construction, then the messages."""
+    """Recovery of one damaged file: the constructor reads topics, attachments and metadata, `messages` the messages."""
 
     def __init__(
         self,
@@ -545,7 +548,7 @@ class _Salvage:
         self.attachments: list[Attachment] = []
         self.metadata: dict[str, dict[str, str]] = {}  # records of other programs, by name
         self.follows: int | None = None
-        """Size of the recording at the start of the chunk whose messages a tail contains [bytes]; None otherwise."""
+        """Size of the recording when the chunk began whose messages this tail contains [bytes]; None if no tail."""
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
         self.recovered: Recovered | None = None
@@ -567,18 +570,18 @@ class _Salvage:
                     for definition in records.definitions(memoryview(file.read(found))):
                         self._define(definition)
                 elif found.opcode == records.MESSAGE and not accept_unchecked:
-                    reason = f"a message outside a chunk carries no checksum ({ACCEPT} takes it)"
+                    reason = f"a message outside a chunk carries no checksum ({ACCEPT} accepts it)"
                     report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
-        """Register all topics known so far in `writer`, in the order of registration."""
+        """Register all topics of this file known so far in the writer of the new run, in the order of channel ids."""
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 
     def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
-        """Register a topic in `writer`.
+        """Register a topic in the writer of the new run; return whether its messages can be written.
 
-        Returns False, and notes it in the report, if the topic already has another definition.
+        They cannot if the writer knows the topic with another type; then the report lists it as a damage.
         """
         try:
             writer.add_topic(topic)
@@ -590,7 +593,7 @@ class _Salvage:
         return True
 
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of all intact chunks in file order, then those of the chunk that was open."""
+        """Yield the messages of all intact chunks in file order, then those of the open chunk from the tail."""
         last = -1  # offset of the last intact chunk
         newest: set[_Key] = set()  # messages in the last intact chunk
         has_tail = os.path.lexists(tail_of(self.path))
@@ -609,9 +612,10 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, except those in the last intact chunk, which make the tail superfluous.
+        """Yield the messages of the tail, unless its chunk was completed: then the last intact chunk has them.
 
-        The tail states the size of the recording at the start of its chunk. Without that, its first message decides.
+        The tail states the size of the recording when its chunk began, which shows whether the chunk was completed.
+        Without that, the tail is left out if the last intact chunk has its first message.
 
         Args:
             last: offset of the last intact chunk of the recording.
@@ -637,7 +641,7 @@ class _Salvage:
             self._report.note(Damage(tail.name, 0, 0, str(error)))
 
     def _chunk_from(self, follows: int) -> int:
-        """Return the offset of the chunk that was open when the file had this size; an attachment may precede it."""
+        """Return the offset of the chunk that was open at the file size `follows`; an attachment may precede it."""
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if found.offset >= follows and os.pread(file.fd, 1, found.offset) == bytes([records.CHUNK]):
@@ -655,13 +659,16 @@ class _Salvage:
             known = list(self._unpack(found, content))
         except (DamageError, BudgetError) as error:
             unchecked = isinstance(error, UncheckedError)
-            self._report.note(self._damage(found, f"{error} ({ACCEPT} takes it)" if unchecked else str(error)))
+            self._report.note(self._damage(found, f"{error} ({ACCEPT} accepts it)" if unchecked else str(error)))
             return
         self.figures.chunks += 1
         yield from known
 
     def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the decompressed messages of a chunk, or of one record outside chunks."""
+        """Yield the messages in the content of a chunk, or in a record outside chunks, with topic, decompressed.
+
+        Messages of unknown channels are reported as damage.
+        """
         unknown = 0
         for message in records.messages(content, None):
             topic = self._topics.get(message.channel_id)
@@ -675,7 +682,7 @@ class _Salvage:
             else:
                 yield topic, message
         if unknown:
-            self._report.note(self._damage(found, f"{unknown} messages whose topic's definition is lost", length=0))
+            self._report.note(self._damage(found, f"{unknown} messages of topics whose definition is lost", length=0))
 
     def _read_summary(self, file: DamagedFile) -> None:
         try:
@@ -695,7 +702,7 @@ class _Salvage:
             self._know(definition.id, TopicDescription.from_channel(definition, schema))
 
     def _know(self, channel_id: int, topic: TopicDescription) -> None:
-        """Remember the topic of a channel."""
+        """Keep the topic of a channel; the number of topics is limited."""
         if channel_id not in self._topics:
             budget.allow("topics", len(self._topics) + 1, budget.TOPICS)
         self._topics[channel_id] = topic
@@ -707,7 +714,7 @@ class _Salvage:
         if fits or (fits is None and self._accept_unchecked):
             self.attachments.append(Attachment(attachment.name, bytes(attachment.data), attachment.media_type))
         else:
-            reason = f"carries no checksum ({ACCEPT} takes it)" if fits is None else "does not fit its checksum"
+            reason = f"carries no checksum ({ACCEPT} accepts it)" if fits is None else "does not fit its checksum"
             self._report.note(self._damage(found, f"the attachment {attachment.name!r} {reason}"))
 
     def _take_metadata(self, file: DamagedFile, found: Found) -> None:
@@ -721,7 +728,7 @@ class _Salvage:
                 self.metadata[name] = content
             else:
                 self._report.note(
-                    self._damage(found, f"the metadata record {name!r} carries no checksum ({ACCEPT} takes it)")
+                    self._damage(found, f"the metadata record {name!r} carries no checksum ({ACCEPT} accepts it)")
                 )
         elif verified is None:
             self._report.note(

@@ -48,7 +48,7 @@ class Checksums:
 
     @property
     def complete(self) -> bool:
-        """Return whether every message and every attachment is protected by a checksum."""
+        """Return whether every message and every attachment carries a checksum."""
         return (self.chunks, self.outside, self.attachments) == (
             self.checked_chunks,
             self.checked_outside,
@@ -56,7 +56,7 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return the sentence for a verdict, for a recording without a wrong checksum."""
+        """Return how many parts carry a checksum, as a clause for the verdict of `info`; no checksum is wrong."""
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
         if not checked and parts:
@@ -90,7 +90,11 @@ def checksums(run: Run) -> Checksums:
 
 
 def _check_data_section(source: McapSource) -> bool:
-    """Check the data section of a file against its checksum; return whether it carries one."""
+    """Check the data section of a file against its checksum; return whether the section carries one.
+
+    Raises:
+        DamageError: the checksum does not match.
+    """
     end = source.data_end()
     crc = records.parse(mcap_records.DataEnd, source.record_at(end, records.DATA_END)).data_section_crc
     if crc == 0:
@@ -109,18 +113,18 @@ def _check_data_section(source: McapSource) -> bool:
 
 @attrs.frozen
 class Examination:
-    """Consistency of the records of a recording."""
+    """Result of `examine`: contradictions between the records of a recording, and changes since it was recorded."""
 
     contradictions: tuple[str, ...]
     """Contradictions between the messages and the index, statistics or definitions, one sentence each."""
     changes: tuple[str, ...]
     """Changes made after the recording, detected by the digests, one sentence each."""
     has_digests: bool
-    """True if every file has digests."""
+    """True if every file has digests, so that changes can be detected."""
 
 
 def examine(run: Run) -> Examination:
-    """Read every record of a recording, and compare the records with index, statistics, definitions and digests.
+    """Read every record of a recording, and compare all with its index, statistics, definitions and digests.
 
     Raises:
         RecordingError: a part is damaged.
@@ -146,7 +150,7 @@ def examine(run: Run) -> Examination:
 
 
 def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
-    """Yield the contradictions within a file; also add its topics and messages to the digests."""
+    """Yield the contradictions within a file, one sentence each; also add its topics and messages to `digest`."""
     for defined in source.summary.channels.values():
         digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()
@@ -177,7 +181,7 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
         "metadata records": (statistics.metadata_count, len(summary.metadata_indexes)),
     }
     yield from (
-        f"its statistics count {said} {what}, it holds {there}"
+        f"its statistics count {said} {what}, but it holds {there}"
         for what, (said, there) in found.items()
         if said != there
     )
@@ -185,7 +189,7 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
     if claimed and claimed != counts:
         channel = min(number for number in {*claimed, *counts} if claimed.get(number, 0) != counts[number])
         name = source.topics[channel].name if channel in source.topics else f"channel {channel}"
-        yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, it holds {counts[channel]}"
+        yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, but it holds {counts[channel]}"
     if times and (statistics.message_start_time, statistics.message_end_time) != (min(times), max(times)):
         yield "its statistics give other log times than its messages"
 

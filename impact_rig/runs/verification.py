@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Verification of a run: published, logged and re-simulated data are identical, or the first difference is reported.
+"""Verification of a run: its recorded data equal those of a re-simulation, or the first difference is reported.
 
 Everything that the rig publishes about itself is compared: scans, their true values, applied commands, the journal,
 calibration and configuration, and the readings in its monitors. Scans must be complete from the first recorded one on.
@@ -67,17 +67,17 @@ _NOT_COMPARED = {
 }
 """Reason why a topic is not compared, by its name or publisher."""
 _FAMILIES = {topics.envelope("", "").name.rstrip("/"): "plot", topics.spectrum("", "").name.rstrip("/"): "plot"}
-"""Publisher of the topics that exist for each channel, by the prefix of their names."""
-_FOREIGN = "not of this rig"
+"""Publishers of topics that exist once per channel, by the prefix of their names."""
+_FOREIGN = "it belongs to another rig"
 _UNKNOWN = "not a topic of a rig"
 
 
 NOT_CHECKED = (
     "metadata.yaml, which other tools read",
     "packing of messages into chunks",
-    "origin of the digests, which a program may renew",
+    "author of the digests: a program that changes a recording can renew them",
 )
-"""Aspects not covered by a verdict."""
+"""Aspects of a recording that `verify` does not check, as its report lists them."""
 NOT_CHECKED_WITHOUT_DIGESTS = (
     "commands and remarks of clients (the journal has their effects)",
     "what the analysis publishes (`impact-rig analyze` compares it)",
@@ -88,18 +88,18 @@ NOT_CHECKED_WITHOUT_DIGESTS = (
     f"attachments other than {CONFIGURATION}",
     "metadata.yaml, and metadata records other than the version of the arithmetic",
 )
-"""Aspects not covered by a verdict if the recorder wrote no digests; only the recorder of this package writes them."""
+"""Aspects that `verify` does not check in a recording without digests, which other recorders do not write."""
 
 
 @attrs.frozen
 class Verification:
-    """Result of `verify`."""
+    """Result of verifying a run: whether a re-simulation gives the recorded data, and what was compared."""
 
     identical: bool | None  # True, False, or None if the run cannot be verified
     scans: int  # number of scans compared
     reason: str = ""  # the first difference, or why the run cannot be verified; empty if identical
     topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
-    """Compared and uncompared content, topic by topic."""
+    """Results topic by topic: what was compared, and what was left out and why."""
     not_checked: tuple[str, ...] = attrs.field(default=NOT_CHECKED_WITHOUT_DIGESTS, eq=False)
 
     def __str__(self) -> str:
@@ -133,29 +133,30 @@ def verify(run: Run) -> Verification:
         identical: 10000 scans re-simulated bit for bit
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
-        return Verification(None, 0, f"recorded with arithmetic {arithmetic_of(run.provenance)}, this is {ARITHMETIC}")
+        version = arithmetic_of(run.provenance)
+        return Verification(None, 0, f"recorded with arithmetic version {version}, this program has {ARITHMETIC}")
     run.resolve(topics.SCAN.name)
     if is_measured(run.provenance):
-        return Verification(None, 0, "a measurement: there is nothing to re-simulate")
+        return Verification(None, 0, "an imported measurement: there is nothing to re-simulate")
     examined = structure.examine(run)
     if examined.contradictions:  # a topic missing in the index would pass for one that was never recorded
         return Verification(False, 0, examined.contradictions[0])
     changes = examined.changes
     if not examined.has_digests and any(name.startswith(PROVENANCE_RECORD) for name in _metadata_names(run)):
-        changes = ("the digests that its recorder wrote are missing",)
+        changes = ("the digests that the recorder wrote are missing",)
     not_checked = NOT_CHECKED if examined.has_digests else NOT_CHECKED_WITHOUT_DIGESTS
     found = _verify_content(run, changes)
     if not found.identical and is_cut_short(run):
         blocks, ahead = _complete_blocks(run)
         shorter = _verify_content(run, changes, blocks)
         if shorter.identical:
-            rest = f"the last {ahead} blocks: what acted on them may not have reached the recorder before it was killed"
+            rest = f"the last {ahead} blocks: inputs that act on them may not have reached the recorder before its end"
             found, not_checked = shorter, (rest, *not_checked)
     return attrs.evolve(found, not_checked=not_checked)
 
 
 def _complete_blocks(run: Run) -> tuple[int, int]:
-    """Return the number of blocks with certainly all messages of other topics, and of the blocks after them."""
+    """Return how many blocks of a killed recording certainly have all other messages, and how many follow them."""
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
     before_end = stamps_ns[-1:] - stamps_ns
@@ -168,7 +169,7 @@ def _metadata_names(run: Run) -> Iterator[str]:
 
 
 def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
-    """Re-simulate a run and compare it; changes made after the recording count as differences.
+    """Re-simulate a run and compare all that the rig published; changes after the recording count as differences.
 
     Args:
         run: an open run.
@@ -216,16 +217,16 @@ def _verify_all(
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
-    """Return the journals, the messages of shaker/waveform in each, the index of the first scan's journal, and a count.
+    """Return the journals of a run, the messages of shaker/waveform in each, the first scan's journal, and a count.
 
-    A journal lasts from its start or reset; entries before the first one form a journal without a beginning. Messages
-    of another publisher that are not entries are skipped, and the last value counts them: if they came from this rig,
-    entries would be missing.
+    A journal lasts from its start or reset to the next; entries before the first one form a journal without a
+    beginning. The third value is the index of the journal to which the first scan belongs. The last one counts the
+    skipped messages on `rig/journal` that are no entries; if this rig had sent them, entries would be missing.
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
         raise RecordingError(
-            "the journal is a table of an earlier version: verify it with the program that recorded it"
+            "the journal is a table of an earlier version of impact_rig: verify the run with that version"
         )
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
@@ -258,7 +259,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
-    """Return the messages of shaker/waveform for each journal; at a reset, a message may belong to two of them.
+    """Return the messages of shaker/waveform by journal; a message near a reset may be listed in two journals.
 
     Stamps continue across a reset. A block recorded after it with an earlier stamp belongs to the journal before, and
     one recorded before it with a later stamp may belong to the journal after it.
@@ -274,7 +275,7 @@ def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> 
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
-    """Yield every block with the number of the journal to which it belongs."""
+    """Yield each block of scans with the index of the journal to which it belongs, from the journal `first` on."""
     number, before_ns = first, None
     for table in scans:
         while number + 1 < len(journals):
@@ -293,7 +294,11 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
 def _verify(
     journal: list[JournalEntry], scans: Iterator[Table], others: _OtherTopics, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
-    """Compare the blocks of one journal; also return the next block of the re-simulation."""
+    """Compare the recorded blocks of one journal with its re-simulation, and all other messages of their time.
+
+    If a reset ends the journal (it is the begin of `following`), also return the first block of the re-simulation that
+    was not recorded; otherwise None.
+    """
     compared = 0
     try:
         again = others.begin(journal, following)
@@ -324,12 +329,12 @@ def _verify(
 
 
 def _reset_ns(following: JournalEntry | None) -> int | None:
-    """Return the time of the reset that ends a journal; None if it ends otherwise."""
+    """Return the stamp of the reset that ends a journal, from the entry that begins the next; None if no reset does."""
     return following.stamp_ns if following is not None and following.kind is InputKind.RESET else None
 
 
 def _next(again: Resimulation) -> Block | None:
-    """Return the next block, or None if the recording lacks its inputs, as it may after a reset."""
+    """Return the next block of a re-simulation; None if the recording lacks inputs for it, as it may after a reset."""
     try:
         return next(again.blocks)
     except ConfigError:
@@ -337,7 +342,7 @@ def _next(again: Resimulation) -> Block | None:
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
-    """Return whether a block should have been published before a reset.
+    """Return whether a re-simulated block is missing in the recording: the rig must have published it before a reset.
 
     The rig simulates whole ticks. A reset drops the scans not yet assembled into a block: less than a tick.
     """
@@ -350,7 +355,7 @@ def _missing(block: Block, compared: int) -> Verification:
 
 
 def _difference(logged: Table, again: Table) -> str:
-    """Return the first difference of two tables (stamp, row, both values), or an empty text."""
+    """Return the first difference of a recorded and a re-simulated table: stamp, row, both values; empty if none."""
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
             f": logged {len(logged.rows)} rows at {_s(logged.stamp_ns)} s, "
@@ -379,7 +384,7 @@ def _s(time_ns: int) -> str:
 
 
 class _Recorded:
-    """Recorded messages of one topic, compared in order with the re-simulated ones.
+    """Comparison of one topic: its recorded messages, in order, with those of the re-simulation.
 
     Args:
         read: returns stamp and content of a message.
@@ -401,12 +406,14 @@ class _Recorded:
         self._step()
 
     def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
-        """Start a journal at a time; a start before the end of the previous journal shows that a rig was restarted.
+        """Begin to compare the messages of the next journal.
+
+        If it starts before the previous one ended, the rig was restarted; late messages of the previous are left out.
 
         Args:
-            start_ns: stamp of its first scan [ns].
-            ended_ns: end of the previous journal [ns].
-            is_restarted: whether the journal ends with a restart, after which stamps go back.
+            start_ns: stamp of the first scan of the journal [ns].
+            ended_ns: end of the scans of the previous journal [ns].
+            is_restarted: whether this journal ends with a restart of the rig, after which stamps go back.
         """
         if start_ns < ended_ns:
             while self.coming is not None and self.coming[0] >= ended_ns:
@@ -415,11 +422,14 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no message of this journal is left: none at all, or the next one is of the restarted rig."""
+        """Return whether no recorded message of this journal is left: none at all, or the next is of a later rig."""
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
-        """Compare the next message with the re-simulated one of this time; with `optional`, only if the times match."""
+        """Compare the next recorded message with a re-simulated one of this stamp; a difference is kept for the result.
+
+        With `optional`, the message may be missing in the recording.
+        """
         self._leave_out_before(stamp_ns)
         if optional and (
             self.coming is None or self.coming[0] != stamp_ns or self._differ(self.coming[1], content) != ""
@@ -434,18 +444,18 @@ class _Recorded:
             self.compare(content)
 
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
-        """Yield the stamps of the next messages in a time range; each must then be compared."""
+        """Yield the stamp of each recorded message from `first_ns` to before `end_ns`; then call `compare` for it."""
         self._leave_out_before(first_ns)
         while self.coming is not None and not self._has_ended() and self.coming[0] < end_ns and not self.difference:
             yield self.coming[0]
 
     def compare(self, content: Any) -> None:
-        """Compare the next message, with None if the re-simulation published none."""
+        """Compare the next recorded message with re-simulated content; None: the re-simulation published no message."""
         assert self.coming is not None
         stamp, recorded = self.coming
         difference = "" if content is None else self._differ(recorded, content)
         if content is None:
-            self._differs(f"at {_s(stamp)} s: this journal does not lead to it")
+            self._differs(f"at {_s(stamp)} s: a message is recorded, and this journal does not lead to it")
         elif difference:
             self._differs(difference if difference.startswith((" at", ":")) else f" at {_s(stamp)} s: {difference}")
         else:
@@ -454,12 +464,12 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
-        """End the scans of a journal at a time: earlier messages that were not compared are reported as unexpected.
+        """End the journal: recorded messages before `end_ns` that were not compared are reported as differences.
 
         Args:
-            end_ns: end of the scans [ns].
+            end_ns: end of the scans of the journal [ns].
             restarted: whether another rig follows, with stamps that go back; the next messages may belong to it.
-            lag_ns: duration of the last stretch, whose messages may not have reached the recorder [ns].
+            lag_ns: duration before the end whose messages may not have reached the recorder [ns].
         """
         if not restarted and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
             self.compare(None)
@@ -468,11 +478,11 @@ class _Recorded:
         self._absent_ns = None
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop reading the recorded messages."""
         self._messages.close()
 
     def compared(self, present: bool) -> Compared:
-        """Return the comparison result of this topic."""
+        """Return the result of comparing this topic; `present` tells whether it was recorded."""
         while self.coming is not None:
             self._outside += 1
             self._step()
@@ -504,7 +514,7 @@ class _Recorded:
 
 
 class _OtherTopics:
-    """Comparison of all topics except the scans.
+    """Comparison of all topics of a run except `daq/scan` with the re-simulation of its journals.
 
     Args:
         foreign: number of skipped messages on `rig/journal`.
@@ -542,7 +552,7 @@ class _OtherTopics:
         self._end_ns = 0
 
     def begin(self, journal: list[JournalEntry], following: JournalEntry | None) -> Resimulation:
-        """Start the re-simulation of a journal, which ends with the first entry of the following one."""
+        """Start and return the re-simulation of a journal; the first entry of the `following` journal ends it."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
         entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
@@ -560,7 +570,7 @@ class _OtherTopics:
         return self._again
 
     def compare(self, block: Block) -> None:
-        """Compare the messages published with a block, recorded or withheld."""
+        """Compare all recorded messages of the time of a re-simulated block; the block itself may not be recorded."""
         self._drain()
         self._end_ns = block.end_ns
         for recorded, table in ((self._impacts, block.impacts), (self._faults, block.faults)):
@@ -578,9 +588,9 @@ class _OtherTopics:
         self._compare_monitors(block)
 
     def _compare_monitors(self, block: Block) -> None:
-        """Compare the monitor messages of a block.
+        """Compare the monitor messages of the time of a re-simulated block.
 
-        Their rate is not part of a journal, so every configured rate counts.
+        Their rate is not part of a journal, so messages of every configured rate are accepted.
         """
         rig = self._again.rig
         if not self._filters:
@@ -596,7 +606,7 @@ class _OtherTopics:
         self._compare_smoothed(end - self._filters[-1].half)
 
     def _compare_smoothed(self, end: float = math.inf) -> None:
-        """Compare the monitor messages of scans before `end`."""
+        """Compare the monitor messages of the filtered scans before the scan index `end`."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -607,7 +617,10 @@ class _OtherTopics:
                     monitor.compare(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
-        """End the blocks of a journal, by a reset at a time or otherwise (None); with `last`, the recording ends."""
+        """Compare what is left of a journal at its end: `reset_ns` is the stamp of the reset that ends it, or None.
+
+        With `last`, the recording ends with this journal, so its last messages may be missing.
+        """
         if reset_ns is not None:
             self._again.finish(reset_ns)
             self._end_ns = reset_ns
@@ -631,7 +644,7 @@ class _OtherTopics:
             self._descriptions.add(robot_description(config))
 
     def compared(self) -> Iterator[Compared]:
-        """Yield the result of each topic of the run, compared or not."""
+        """Yield the result of each topic of the run except the scans: compared, or left out and why."""
         yield self._journal
         known = {topics.SCAN.name, topics.JOURNAL.name}
         for recorded in self._ordered():
@@ -653,7 +666,7 @@ class _OtherTopics:
                 yield Compared(relative, left_out=why)
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop reading the recorded messages of all topics."""
         for recorded in self._ordered():
             recorded.close()
 
@@ -662,7 +675,7 @@ class _OtherTopics:
         return *tables, *(one.recorded for one in self._monitors)
 
     def _drain(self) -> None:
-        """Compare the effects of inputs since the last block."""
+        """Compare the effects of inputs on the re-simulation since the last call: drive, calibrations and journal."""
         rig = self._again.rig
         applied = rig.take_applied()
         for table, after in itertools.zip_longest(applied, applied[1:]):
@@ -675,7 +688,11 @@ class _OtherTopics:
         self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the recorded entries with the re-simulated ones; the first entry names version and kind."""
+        """Compare the recorded journal entries with the re-simulated ones, except the first, which starts both.
+
+        `whole` tells whether a reset ended the journal, so that all its entries count. An entry may be missing in the
+        recording if it is younger than `lag_ns` before the end.
+        """
         end = self._end_ns
         # a planned fault is compared only if the re-simulation has reached its scan
         due = [e for e in self._entries if whole or e.stamp_ns < end]
@@ -704,7 +721,7 @@ class _OtherTopics:
         self._journal = attrs.evolve(self._journal, difference=self._journal.difference or what)
 
     def _compare_configuration(self) -> Compared:
-        """Compare each published or attached configuration with those that the journal leads to."""
+        """Compare each recorded configuration (topic, attachment) with the configurations that the journals lead to."""
         name = topics.CONFIGURATION.name
         recorded = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
@@ -729,7 +746,7 @@ class _OtherTopics:
         return Compared(name, count, left_out=rest, what="texts")
 
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
-        """Return how many of the journal's configuration changes are found, in order."""
+        """Return how many of the configurations that the journals lead to are among published ones, in this order."""
         wanted = [one for one, _ in itertools.groupby(self._configurations)]
         count = 0
         for config in published:
@@ -737,7 +754,7 @@ class _OtherTopics:
         return count
 
     def _unlike(self, config: dict[str, object]) -> str:
-        """Return the first value that the journal does not explain."""
+        """Return a clause that names a value of a recorded configuration which the journals do not explain."""
         if not self._configurations:
             return "no journal contains its value"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
@@ -754,7 +771,7 @@ class _OtherTopics:
 
 
 class _Monitor:
-    """Monitor of one channel: its recorded messages and the filtered scans of the re-simulation.
+    """Comparison of the monitor of one channel: its recorded messages with the filtered scans of the re-simulation.
 
     A filter restarts when the rate of the monitors changes and uses only later scans. The first messages of a
     contiguous series are therefore not compared.
@@ -772,16 +789,16 @@ class _Monitor:
 
         self.recorded = _Recorded(run, topic, read, self._differ)
         self.following: Counter[int] = Counter()
-        """Number of contiguous messages, by scans per monitor period."""
+        """Number of messages that followed one another without a gap, by the scans per monitor period."""
 
     def compare(
         self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
-        """Compare the monitor message of a time, if there is one.
+        """Compare the recorded monitor message of a time, if there is one.
 
         Args:
             stamp_ns: time of the message [ns].
-            made: possible contents of the message, by scans per monitor period.
+            made: possible filtered scans of that time, each with its number of scans per monitor period.
             fitted: the instruments of all configurations so far.
             calibrations: `daq/info` of all calibrations so far.
         """
@@ -794,7 +811,10 @@ class _Monitor:
             self.following[step] = self.following[step] + 1 if is_recorded else 0
 
     def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
-        """Return the difference of a message from all that the configurations and calibrations so far allow."""
+        """Return a difference of a recorded monitor message from what was allowed at its time; empty if it is allowed.
+
+        `made` are the possible filtered scans, the instruments and the calibrations so far; empty: not compared.
+        """
         if not made:
             return ""
         smoothed, fitted, infos = made
@@ -810,7 +830,7 @@ class _Monitor:
 
 
 def _monitor_rates_hz(run: Run) -> set[float]:
-    """Return the monitor rates of all recorded configurations [Hz]."""
+    """Return the rates of monitor messages in all recorded configurations [Hz]; the default rate if there is none."""
     usual_hz = RigConfig().output.monitor_rate_hz
     recorded = [text.encode() for text in texts(run, topics.CONFIGURATION)]
     rates_hz = set() if recorded else {usual_hz}
@@ -821,7 +841,7 @@ def _monitor_rates_hz(run: Run) -> set[float]:
 
 
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
-    """Return the field of a monitor message that does not match its scans."""
+    """Return the first field of a monitor message that differs from the wanted one, with both; empty if none does."""
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
         if ours.shape == theirs.shape:
@@ -838,7 +858,7 @@ def _stamped(table: Table) -> tuple[int, Table]:
 
 
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
-    """Return the true quantity whose published value differs."""
+    """Return the first quantity of a recorded joint state that differs from the truth, with both; empty if none."""
     for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)
         if len(found) != len(true) or (_bits(found) != _bits(true)).any():
@@ -847,7 +867,10 @@ def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) ->
 
 
 def _deciding(config: RigConfig) -> dict[str, object]:
-    """Return the values of a configuration that determine samples; planned faults are in the journal once injected."""
+    """Return the values of a configuration that determine samples, by full name, except the planned faults.
+
+    Those are in the journal once they are injected.
+    """
     return {name: value for name, value in deciding_samples(to_flat(config)).items() if name != PLANNED}
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements of a run as one record, which the live node does not make: frequency response and fitted sines.
+"""Measurements of a whole stretch of a run, which the live node does not make: frequency response, fitted sines.
 
 An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
 """
@@ -40,7 +40,7 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
 UNSETTLED_S, UNSETTLED_CYCLES, UNSETTLED_SCANS = 5.0, 24, 200
-"""Length of the excerpt of a run in which nothing settled: the longest of these seconds, cycles and scans."""
+"""Length of the excerpt of a run in which nothing settled: the longest of these seconds, drive cycles and scans."""
 FEWEST_DRAWN = 16  # minimum number of scans of a drawing or a fit
 HELD_S = 0.5  # maximum delay of the report of a measurement after its last scan [s]
 FEWEST_SCANS = 100
@@ -49,7 +49,7 @@ MOST_SCANS = 20_000_000  # maximum number of scans of a record; they need 740 MB
 
 @attrs.frozen(eq=False)
 class Excerpt:
-    """Contiguous scans for a drawing."""
+    """Contiguous scans of a run that are drawn or measured as one record, with the drive and the impacts in them."""
 
     rows: NDArray[np.void]  # scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,)
     rate_hz: float  # scans per second
@@ -58,19 +58,21 @@ class Excerpt:
     settled: bool  # whether it is a settled measurement; the end of the run otherwise
 
     def newest(self, cycles: int) -> Excerpt:
-        """Return the last cycles of the drive, or everything without a drive."""
+        """Return the part of this excerpt with its last `cycles` drive cycles, or all of it if the drive is unknown."""
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
 
     def __str__(self) -> str:
-        """Return a readable description of these scans."""
+        """Return the times and the origin of these scans as a readable text, for titles and messages."""
         where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
 
 def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
-    """Return the scans of the last settled measurement, or the last `UNSETTLED_S` of the run.
+    """Return the scans of the last settled measurement of a run; if nothing settled, those of its last seconds.
+
+    `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
         RecordingError: there are too few contiguous scans.
@@ -117,12 +119,14 @@ def last_record(run: Run) -> Excerpt:
     rate_hz = float(calibration_rows(run)["rate"][0])
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
     if len(rows) < FEWEST_SCANS:
-        raise RecordingError(f"{run.path}: {len(rows)} contiguous scans at its end; at least {FEWEST_SCANS} are needed")
+        raise RecordingError(
+            f"{run.path} ends with {len(rows)} contiguous scans; a frequency response needs at least {FEWEST_SCANS}"
+        )
     return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 
 
 def calibration_rows(run: Run) -> NDArray[np.void]:
-    """Return the newest rows of `daq/info`.
+    """Return the rows of the newest calibration of a run (`daq/info`).
 
     Raises:
         RecordingError: the run holds no calibration.
@@ -134,9 +138,10 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
-    """Return the contiguous scans before block `last`: their number, the origin of their time [ns], and the rows.
+    """Return the newest contiguous scans up to the end of block `last`, of about `span_s` or less.
 
-    The origin is the first scan of the run, or the first after the last reset.
+    The first value is the number of the first block of the run, or of the first one after the last reset. The second
+    is the stamp of its first scan [ns], from which `time` counts in the rows, the third value.
     """
     kept: deque[Table] = deque()
     first, origin_ns = 0, 0
@@ -155,7 +160,7 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
 
 
 def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
-    """Return the rows of tables, one after the other, with `time` since `origin_ns`."""
+    """Return the rows of tables, one after the other; their `time` counts from `origin_ns` instead of the stamps."""
     parts = []
     for table in tables:
         rows = table.rows.copy()
@@ -172,7 +177,7 @@ COHERENT = 0.9  # coherence that at least one excited line must have
 def response_of(
     run: Run, segment_s: float | None = None, window: str = "hann", damping_ratio: float | None = None
 ) -> Frf:
-    """Return the frequency response x_1 / x_b of the last record of a run, with at least one excited line.
+    """Return the frequency response x_1 / x_b of the last contiguous scans of a run.
 
     Args:
         run: an open run.
@@ -182,7 +187,7 @@ def response_of(
         damping_ratio: damping ratio of the resonance, instead of the estimated one.
 
     Raises:
-        RecordingError: the record is too short, has no motion, or has no line with enough excitation.
+        RecordingError: the scans are too few, lack laser or base, or no frequency is excited enough.
     """
     excerpt = last_record(run)
     need_motions(run, excerpt.rows)
@@ -193,17 +198,17 @@ def response_of(
         )
     except ValueError as error:  # ConfigError is one
         seconds = len(excerpt.rows) / excerpt.rate_hz
-        raise RecordingError(f"{run.path}: no frequency response of its last {seconds:g} s: {error}") from error
+        raise RecordingError(f"{run.path}: its last {seconds:g} s give no frequency response: {error}") from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
-            f"{run.path}: the coherence of base and laser is below {COHERENT} at all frequencies: drive the rig "
-            "with a chirp or noise (drive.waveform), or take longer segments"
+            f"{run.path}: the coherence of base and laser is below {COHERENT} at all excited frequencies: drive the "
+            "rig with a chirp or noise (drive.waveform), or take longer segments"
         )
     return found
 
 
 def need_motions(run: Run, rows: NDArray[np.void]) -> None:
-    """Check that scans contain the motion of structure and base.
+    """Check that scans of a run contain the channels `laser` and `base`, which x_1 / x_b needs.
 
     Raises:
         RecordingError: a channel is missing; the message names it.
@@ -217,12 +222,12 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
 
 @attrs.frozen(eq=False)
 class Sines:
-    """Sines of one frequency fitted to an excerpt."""
+    """Sines of one frequency, fitted to all channels of an excerpt."""
 
     reference: SineFit
-    """First measured channel of current, base, laser and accelerometer, fitted with a free frequency.
+    """Fit of the reference channel, with a free frequency: that of all other fits.
 
-    The fit has four parameters, and the harmonics.
+    The reference is the first of current, base, laser and accelerometer that was measured.
     """
     reference_name: str
     fits: dict[str, SineFit]  # fit of every channel at that frequency, by name
@@ -232,19 +237,20 @@ class Sines:
 
 
 def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
-    """Fit sines to an excerpt of a run.
+    """Fit sines of one frequency, found near that of the drive, to all channels of an excerpt of a run.
 
     Raises:
         RecordingError: the drive frequency is unknown, or the reference channel has no sine near that frequency.
     """
     if not excerpt.drive_hz > 0.0:
-        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for {excerpt}")
+        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for the scans {excerpt}")
     samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
     name = next(name for name in REFERENCES if name in samples)
     reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz, harmonics)
     if reference.status is not Status.OK:
         raise RecordingError(
-            f"{run.path}: the {name} is not a sine of {excerpt.drive_hz:g} Hz, {excerpt}: {reference.status.value}"
+            f"{run.path}: the channel {name} is not a sine of the drive frequency {excerpt.drive_hz:g} Hz in the scans "
+            f"{excerpt}: {reference.status.value} ({reference.status.doc})"
         )
     return Sines(
         reference=reference,

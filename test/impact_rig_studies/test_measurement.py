@@ -127,7 +127,7 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
             assert calibration_rows(run).tobytes() == calibration_rows(original).tobytes()
         kept = reanalysis.rows(list(run.tables(topics.TRANSMISSIBILITY_TABLE)))
         assert kept.tobytes() == rows.tobytes(), "what the import kept is what the analysis finds"
-        assert str(verification.verify(run)).endswith("a measurement: there is nothing to re-simulate")
+        assert str(verification.verify(run)).endswith("an imported measurement: there is nothing to re-simulate")
         live = reanalysis.compare(run, [], [])
         assert (live.same, live.identical) == (None, False), (
             "a bug once: identical to live results, of which there are none"

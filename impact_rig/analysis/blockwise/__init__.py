@@ -136,13 +136,17 @@ class Intervals:
 WINDOW_S = 4.0  # length of the window: bins are 0.25 Hz apart, and lines closer than 2.5 Hz are not resolved
 EVERY_S = 1.0  # rig time between two spectra
 HIGHEST_HZ = 250.0
-"""Highest frequency: the drive's 27th harmonic at 9.1 Hz. A higher scan rate does not lengthen the message."""
+"""Highest frequency of a spectrum, the 27th harmonic of a drive at 9.1 Hz.
+
+Because of this limit, a higher scan rate does not lengthen the published message.
+"""
 
 
 def amplitude_spectrum(samples: Real, rate_hz: float) -> tuple[Real, Real]:
-    """Return frequencies [Hz] and amplitudes (peak, unit of the samples) up to `HIGHEST_HZ`, each of shape (bins,).
+    """Return the amplitude spectrum of samples through a flat-top window, up to `HIGHEST_HZ`.
 
-    The mean is removed first.
+    It is given as frequencies [Hz] and peak amplitudes [unit of the samples], each of shape (bins,). The mean of the
+    samples is removed first.
     """
     window = _flat_top(len(samples))
     transformed = np.fft.rfft((samples - samples.mean()) * window)

@@ -126,7 +126,7 @@ NO_SUMMARY = {"repeat_channels": False, "repeat_schemas": False, "use_statistics
 WITHOUT = {  # options of rosbag2's storage configuration that leave out parts of the index
     "noRepeatedChannels": ({"repeat_channels": False}, "its index lists 0 of 5 topics"),
     "noRepeatedSchemas": ({"repeat_schemas": False}, "its index lists 0 of 5 message definitions"),
-    "noStatistics": ({"use_statistics": False}, "it has no statistics"),
+    "noStatistics": ({"use_statistics": False}, "its index has no statistics"),
     "noChunkIndex": ({"index_types": IndexType.ALL ^ IndexType.CHUNK}, "its index lists 0 of 1 chunks"),
     "noSummary": ({**NO_SUMMARY, "index_types": IndexType.NONE}, "it has no index"),
 }
@@ -147,7 +147,7 @@ def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
     path = rewrite(native, tmp_path / "cut.mcap", finish=False, use_chunking=chunked, enable_crcs=False)
     with pytest.raises(RecordingError, match="impact-rig recover"):
         open_run(path)
-    with pytest.raises(RecordingError, match=r"carries no checksum .*--accept-unchecked takes it"):
+    with pytest.raises(RecordingError, match=r"carries no checksum .*--accept-unchecked accepts it"):
         recover(path, tmp_path / "strict")
     report = recover(path, tmp_path / "out", accept_unchecked=True)
     assert report.complete
@@ -169,7 +169,7 @@ def test_recovery_keeps_the_schemas_and_metadata_of_other_programs(tmp_path, kin
     for k in range(30):
         writer.add_message(channel, k, b"{}", k, k)
     writer.finish()
-    with pytest.raises(RecordingError, match="it has no statistics; impact-rig recover saves the intact messages"):
+    with pytest.raises(RecordingError, match="its index has no statistics; impact-rig recover saves the intact"):
         open_run(path)
     report = recover(path, tmp_path / "out", accept_unchecked=True)
     assert report.complete

@@ -113,7 +113,7 @@ def test_closing_a_run_ends_what_still_reads_from_it(record, chunk_bytes):
         messages = run.messages()
         next(messages)
     assert [thread.name for thread in threading.enumerate() if thread.name.startswith("read-ahead")] == []
-    with pytest.raises(RecordingError, match=r"cannot read .* at byte \d+: it has been closed"):
+    with pytest.raises(RecordingError, match=r"cannot read .* at byte \d+: the run has been closed"):
         list(messages)
 
 
@@ -166,7 +166,7 @@ def test_a_publisher_that_restarts_changes_nothing_and_another_type_is_refused(r
     with record() as writer:
         fill(writer, 3)
         writer.add_topic(SCAN_TOPIC)
-        with pytest.raises(RecordingError, match="is recorded as sensor_msgs/msg/PointCloud2: messages of type"):
+        with pytest.raises(RecordingError, match="is recorded with the type sensor_msgs/msg/PointCloud2: messages"):
             writer.add_topic(topic(SCAN_TOPIC.name, "std_msgs/msg/String"))
         assert not writer.closed
         sent = fill(writer, 3, first=3)

@@ -281,8 +281,12 @@ def test_the_impacts_that_live_had_found_are_compared_too(tmp_path: Path) -> Non
     altered = [*data[:middle], *edited(data[middle : middle + 1], "impacts", louder), *data[middle + 1 :]]
     for name, case, said in (
         ("louder", altered, "impacts: peak at "),
-        ("missing", [*data[:middle], *data[middle + 1 :]], "was found here only"),
-        ("invented", [*data[:middle], *shifted(data[middle]), *data[middle:]], "was found live only"),
+        ("missing", [*data[:middle], *data[middle + 1 :]], "only the later analysis found an impact at"),
+        (
+            "invented",
+            [*data[:middle], *shifted(data[middle]), *data[middle:]],
+            "only the live analysis found an impact",
+        ),
     ):
         found = compared(tmp_path / name, case)
         assert found.same is False

@@ -162,7 +162,7 @@ def test_a_recording_of_the_third_version_is_still_read() -> None:
     assert found.log_s == pytest.approx(142.0, abs=1.0), "log times of latched history were its old stamps"
     compared = agreement(THIRD_VERSION)
     assert compared.same is None
-    assert "arithmetic 5" in compared.reason
+    assert "arithmetic version 5" in compared.reason
     with open_run(THIRD_VERSION) as run:
         rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
         live = np.concatenate([table.rows for table in run.tables("transmissibility/table")])

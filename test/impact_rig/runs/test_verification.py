@@ -150,8 +150,8 @@ def test_a_run_of_another_arithmetic_is_not_accused(whole: Messages, tmp_path: P
     run = record(tmp_path / "run", edited(whole, "daq/scan", change), provenance)
     with open_run(run) as opened:
         found = verify(opened)
-    assert found == Verification(None, 0, f"recorded with arithmetic 1, this is {ARITHMETIC}")
-    assert str(found).startswith("not verifiable here: recorded with arithmetic 1")
+    assert found == Verification(None, 0, f"recorded with arithmetic version 1, this program has {ARITHMETIC}")
+    assert str(found).startswith("not verifiable here: recorded with arithmetic version 1")
 
 
 def test_a_run_of_another_recorder_is_verified_by_its_journal(whole: Messages, tmp_path: Path) -> None:
@@ -193,7 +193,9 @@ def test_what_a_killed_recorder_had_not_received_is_no_difference(tmp_path: Path
     soon = killed(200)
     assert soon.identical, soon.reason
     assert soon.scans == 9_900
-    assert soon.not_checked[0].startswith("the last 101 blocks: what acted on them may not have reached the recorder")
+    assert soon.not_checked[0].startswith(
+        "the last 101 blocks: inputs that act on them may not have reached the recorder"
+    )
     assert not killed(240).identical, "an entry of 1.2 s before the end is there"
     assert not verdict(tmp_path, lacking[: int(np.searchsorted(blocks, 200)) + 1]).identical, "a finished recording"
 

@@ -118,7 +118,7 @@ def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.Capt
     [
         ("nan", "--segment must be a finite number of seconds > 0, got nan"),
         ("-1", "--segment must be a finite number of seconds > 0, got -1"),
-        ("200", "no frequency response of its last 100 s: segment must be 8 to 100000"),
+        ("200", "its last 100 s give no frequency response: segment must be 8 to 100000"),
         ("1e-3", "segment must be 8 to 100000"),
     ],
 )
