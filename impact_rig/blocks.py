@@ -49,18 +49,18 @@ class Column:
     most: float = attrs.field(default=math.inf, kw_only=True)  # largest value
     whole: bool = attrs.field(default=False, kw_only=True)  # whether values are integers
     is_part: bool = attrs.field(default=False, kw_only=True)
-    """Permission for a text to be part of a longer one, which need not be UTF-8 by itself."""
+    """Permission for a text to be part of a longer one: cut within a character, it need not be UTF-8 by itself."""
 
     def __attrs_post_init__(self) -> None:
         assert self.kind == NUMBER or not self.is_bounded, f"{self.name}: a column with a bound must be {NUMBER}"
 
     @property
     def is_bounded(self) -> bool:
-        """Restriction of the column's numbers: true if there is a bound or only integers are allowed."""
+        """Return whether the column's numbers are restricted, by a bound or to integers."""
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:
-        """Return a description of the numbers allowed in this column."""
+        """Return the numbers allowed in this column as text for an error message: `a whole number from 0 on`."""
         number = "a whole number" if self.whole else "a number"
         if self.least > -math.inf and self.most < math.inf:
             return f"{number} from {self.least:.10g} to {self.most:.17g}"
@@ -68,17 +68,17 @@ class Column:
 
 
 def time(doc: str) -> Column:
-    """Return the column `time` of a table: seconds since its stamp."""
+    """Return the column `time` of a table, in seconds since the table's stamp, with the description `doc`."""
     return Column("time", "s", doc, least=-LONGEST_S, most=LONGEST_S)
 
 
 def index(name: str, doc: str) -> Column:
-    """Return a column that counts from 0."""
+    """Return a column of whole numbers from 0 on, such as the index of a scan."""
     return Column(name, "-", doc, least=0.0, most=LARGEST_INDEX, whole=True)
 
 
 def row_type(columns: Iterable[Column]) -> np.dtype[np.void]:
-    """Return the numpy type of rows with these columns, packed."""
+    """Return the numpy type of rows with these columns, without padding between them."""
     return np.dtype([(column.name, column.kind) for column in columns])
 
 
@@ -109,25 +109,25 @@ TRUTH_SCAN_COLUMNS = (
 TRUTH_SCAN = row_type(TRUTH_SCAN_COLUMNS)
 
 IMPACTS_COLUMNS = (
-    time("Start of the contact, since the stamp; negative if it began before the block."),
+    time("Start of the contact, since the stamp; negative if the contact began before the block."),
     Column("wall", "-", "-1 left, +1 right.", "i1"),
-    Column("approach_speed", "m/s", "Relative to the wall when the contact begins, positive."),
-    Column("separation_speed", "m/s", "Relative to the wall when it ends, positive."),
+    Column("approach_speed", "m/s", "Speed of the sphere relative to the wall when the contact begins, positive."),
+    Column("separation_speed", "m/s", "Speed of the sphere relative to the wall when the contact ends, positive."),
     Column(
         "peak_force",
         "N",
         "Largest contact force; 0 for the instantaneous law `restitution`, as are peak_indentation and duration.",
     ),
-    Column("peak_indentation", "m", "Largest indentation."),
-    Column("impulse", "N s", "Integral of the contact force."),
-    Column("duration", "s", "From the start to the end of the contact."),
+    Column("peak_indentation", "m", "Largest indentation of sphere and wall together."),
+    Column("impulse", "N s", "Integral of the contact force over the contact."),
+    Column("duration", "s", "Time from the start to the end of the contact."),
     Column("energy_lost", "J", "Work that the contact force did not give back."),
 )
 IMPACTS = row_type(IMPACTS_COLUMNS)
 
 APPLIED_COLUMNS = (
-    time("Since the stamp, which is the first scan it acts on: 0."),
-    index("sample", "Index of the first scan it acts on, since the start or reset."),
+    time("Time of the first scan that the change acts on, since the stamp: 0."),
+    index("sample", "Index of the first scan that the change acts on, since the start or reset."),
     Column("frequency", "Hz", "Drive frequency."),
     Column("current", "A", "Amplitude at the end of the ramp, peak (rms for random; m or V by `drive.kind`)."),
     Column("phase", "rad", "Phase of the drive at that scan, in [0, 2π)."),
@@ -138,42 +138,42 @@ WAVEFORM_COLUMNS = (Column("value", "A, m or V", "Consecutive samples of the dri
 WAVEFORM = row_type(WAVEFORM_COLUMNS)
 
 STREAM_COLUMNS = (
-    time("Since the stamp, which is that of the sample needed next: 0."),
-    index("wanted", "Number of that sample since the start or reset; all earlier ones have taken effect."),
-    Column("buffered", "-", "Samples present from that one on, without a gap."),
+    time("Time of the sample needed next, since the stamp: 0."),
+    index("wanted", "Number of the sample needed next, since the start or reset; all earlier ones have taken effect."),
+    Column("buffered", "-", "Samples that are present from `wanted` on, without a gap."),
     Column("capacity", "-", "Largest number of buffered samples."),
     Column("playing", "-", "1 while samples drive the rig, 0 before the first one and after an end or gap."),
-    Column("late", "-", "Samples that arrived too late."),
-    Column("refused", "-", "Rejected blocks."),
-    Column("missing", "-", "Samples that did not arrive in time."),
+    Column("late", "-", "Samples that arrived after their time, since the start or reset; they have no effect."),
+    Column("refused", "-", "Blocks of samples that were rejected, since the start or reset."),
+    Column("missing", "-", "Samples that had not arrived at their time, since the start or reset."),
     Column("rate", "Hz", "Samples per second."),
 )
 STREAM = row_type(STREAM_COLUMNS)
 
 FAULTS_COLUMNS = (
-    time("When it starts or ends, since the stamp."),
-    index("sample", "Index of that scan, since the start or reset."),
+    time("Time at which the fault starts or ends, since the stamp."),
+    index("sample", "Index of the scan at which the fault starts or ends, since the start or reset."),
     index("id", "Number of the fault since the reset, from 1."),
     Column("kind", "-", "Kind of fault.", TEXT),
-    Column("channel", "-", "Channel; empty for a fault of the whole board.", TEXT),
-    Column("active", "-", "1 where it starts, 0 where it ends.", "u1"),
-    Column("value", "by kind", "Size of the fault."),
-    Column("duration", "s", "Planned duration; 0 = until it is cleared."),
+    Column("channel", "-", "Channel with the fault; empty for a fault of the whole board.", TEXT),
+    Column("active", "-", "1 where the fault starts, 0 where it ends.", "u1"),
+    Column("value", "by kind", "Size of the fault, in the unit of its kind."),
+    Column("duration", "s", "Planned duration of the fault; 0 = until it is cleared."),
 )
 FAULTS = row_type(FAULTS_COLUMNS)
 
 DAQ_INFO_COLUMNS = (
-    Column("name", "-", "Channel: the column of daq/scan.", TEXT),
+    Column("name", "-", "Name of the channel, which is that of its column in daq/scan.", TEXT),
     Column("unit", "-", "Unit of the channel.", TEXT),
     Column("rate", "Hz", "Scans per second; an integer for the rig.", least=1.0, most=MOST_HZ),
-    Column("range_low", "unit", "Smallest value that is measured."),
-    Column("range_high", "unit", "Largest value that is measured."),
+    Column("range_low", "unit", "Smallest value that the channel can measure."),
+    Column("range_high", "unit", "Largest value that the channel can measure."),
     Column("sensitivity", "V/unit", "SI value = (volt - offset) / sensitivity."),
-    Column("offset", "V", "Output at zero."),
+    Column("offset", "V", "Voltage of the channel where the SI value is 0."),
     Column("resolution", "unit", "The larger of the steps of the sensor's output and of the converter."),
-    Column("noise", "unit", "Noise, rms."),
+    Column("noise", "unit", "Noise of the readings, rms."),
     Column("sensitivity_uncertainty", "-", "Relative standard uncertainty of the sensitivity."),
-    Column("offset_uncertainty", "unit", "Standard uncertainty of the zero."),
+    Column("offset_uncertainty", "unit", "Standard uncertainty of the reading at zero."),
     Column("lag", "s", "Group delay of the sensor at low frequency."),
     Column("skew", "s", "Delay of the conversion after the scan clock."),
     Column(
@@ -191,12 +191,24 @@ DAQ_INFO_COLUMNS = (
         default=0.0,
     ),
     Column(
-        "since_start", "s", "From scan 0 to this stamp; 0 after a reset.", default=0.0, least=-LONGEST_S, most=LONGEST_S
+        "since_start",
+        "s",
+        "Time from scan 0 to the stamp; 0 after a start or reset.",
+        default=0.0,
+        least=-LONGEST_S,
+        most=LONGEST_S,
     ),
     Column("output_step", "unit", "Step of the sensor's own output, before the converter; 0: none.", default=0.0),
-    Column("output_noise", "unit", "Noise before that step, rms, which averages the step out.", default=0.0),
+    Column(
+        "output_noise", "unit", "Noise before the sensor's output step, rms, which averages that step out.", default=0.0
+    ),
     Column("converter_step", "unit", "Step of the converter.", default=0.0),
-    Column("converter_noise", "unit", "Noise of the converter itself, rms, which averages its step out.", default=0.0),
+    Column(
+        "converter_noise",
+        "unit",
+        "Noise of the converter itself, rms, which averages the converter's step out.",
+        default=0.0,
+    ),
     Column(
         "high_pass",
         "Hz",
@@ -207,24 +219,24 @@ DAQ_INFO_COLUMNS = (
 DAQ_INFO = row_type(DAQ_INFO_COLUMNS)
 
 TRANSMISSIBILITY_COLUMNS = (
-    time("Since the stamp, which is that of the last scan measured: 0."),
+    time("Time of the last scan measured, since the stamp: 0."),
     Column("frequency", "Hz", "Drive frequency as commanded."),
     Column("transmissibility", "-", "Displacement transmissibility |X_1| / |X_b| at the drive frequency."),
     Column("phase", "rad", "Phase of x_1 relative to x_b; negative = lagging."),
-    Column("transmissibility_uncertainty", "-", "Standard uncertainty."),
-    Column("phase_uncertainty", "rad", "Standard uncertainty."),
-    Column("laser_amplitude", "m", "Amplitude |X_1|."),
-    Column("base_amplitude", "m", "Amplitude |X_b|."),
-    Column("current_amplitude", "A", "Amplitude of the coil current."),
+    Column("transmissibility_uncertainty", "-", "Standard uncertainty of `transmissibility`."),
+    Column("phase_uncertainty", "rad", "Standard uncertainty of `phase`."),
+    Column("laser_amplitude", "m", "Amplitude |X_1| of the superior base at the drive frequency, peak."),
+    Column("base_amplitude", "m", "Amplitude |X_b| of the inferior base at the drive frequency, peak."),
+    Column("current_amplitude", "A", "Amplitude of the coil current at the drive frequency, peak."),
     Column("thd", "-", "Total harmonic distortion of x_1: rms of the harmonics over that of the fundamental."),
     Column("impacts_per_cycle", "-", "Detected impacts per drive cycle."),
     Column("settled", "-", "1 if the transient has decayed, 0 if not."),
     Column("cycles", "-", "Drive cycles measured."),
-    Column("gap", "m", "The operator's label: 0 = no sphere, NaN = unknown."),
+    Column("gap", "m", "Gap according to the operator's label: 0 = no sphere, NaN = unknown."),
     Column("frequency_deviation", "Hz", "Measured minus commanded frequency.", default=math.nan),
     Column("spread", "-", "Standard deviation of the transmissibility from cycle to cycle.", default=math.nan),
     Column("period", "drive cycles", "Period of the response; NaN if it is not periodic.", default=math.nan),
-    Column("waited", "s", "From the last change to the end of the measurement.", least=0.0, most=LONGEST_S),
+    Column("waited", "s", "Time from the last change to the end of the measurement.", least=0.0, most=LONGEST_S),
     Column("regime", "-", "Behaviour from cycle to cycle (docs/explanation/analysis.md).", TEXT, default=""),
     Column("method", "-", "Method of the uncertainty (docs/explanation/analysis.md).", TEXT, default=""),
     Column("status", "-", "Status of the row (docs/explanation/analysis.md); numbers are NaN unless measured.", TEXT),
@@ -236,7 +248,12 @@ TRANSMISSIBILITY_COLUMNS = (
         default="",
     ),
     Column("largest", "-", "Largest contribution to the uncertainty (docs/explanation/analysis.md).", TEXT, default=""),
-    Column("largest_share", "-", "Its share of the variance of the transmissibility, 0 to 1.", default=math.nan),
+    Column(
+        "largest_share",
+        "-",
+        "Share of that largest contribution in the transmissibility's variance, 0 to 1.",
+        default=math.nan,
+    ),
     Column(
         "steps_uncertainty",
         "-",
@@ -244,22 +261,29 @@ TRANSMISSIBILITY_COLUMNS = (
         default=math.nan,
     ),
     Column(
-        "impact_age", "s", "From the last detected impact to the stamp; NaN: none since the start.", default=math.nan
+        "impact_age",
+        "s",
+        "Time from the last detected impact to the stamp; NaN: no impact since the start.",
+        default=math.nan,
     ),
 )
 TRANSMISSIBILITY = row_type(TRANSMISSIBILITY_COLUMNS)
 
 SWEEP_COLUMNS = (
     *TRANSMISSIBILITY_COLUMNS,
-    Column("target", "m or A", "Controlled amplitude, of base, superior base or current; NaN: none is controlled."),
-    Column("error", "-", "Relative error of the measured amplitude; NaN without one."),
+    Column(
+        "target",
+        "m or A",
+        "Amplitude to which base, superior base or current is controlled; NaN: none of them is controlled.",
+    ),
+    Column("error", "-", "Relative deviation of the measured amplitude from `target`; NaN without a target."),
     Column("corrections", "-", "Corrections of the current before the measurement; NaN without a target."),
-    Column("held", "-", "1 if the error is within the tolerance, 0 if not; NaN without a target."),
+    Column("held", "-", "1 if `error` is within the tolerance of the sweep, 0 if not; NaN without a target."),
     Column(
         "locked",
         "-",
-        "Phase lock, with `phase` relative to its reference: 1 if the mean of the last second is within the "
-        "bound, 0 if not; NaN: no phase lock.",
+        "Phase lock, with `phase` relative to the lock's reference: 1 if the phase's mean of the last second is within "
+        "the bound, 0 if not; NaN: no phase lock.",
     ),
 )
 SWEEP = row_type(SWEEP_COLUMNS)
@@ -272,12 +296,12 @@ SETTINGS_COLUMNS = (
         "analyses, with its libraries.",
         TEXT,
     ),
-    Column("value", "as the key", "Valid from the stamp on."),
+    Column("value", "as the key", "Value of the setting, valid from the stamp on."),
 )
 SETTINGS = row_type(SETTINGS_COLUMNS)
 
 DETECTED_IMPACTS_COLUMNS = (
-    time("When it was detected, since the stamp."),
+    time("Time at which the impact was detected, since the stamp."),
     Column("peak", "m/s^2", "Largest acceleration of the pulse, without the vibration (high-pass)."),
     Column("sign", "-", "+1 when the structure is pushed to the right (the right wall is struck), else -1.", "i1"),
 )

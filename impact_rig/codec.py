@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tables as bytes: `Table` <-> little-endian CDR of `sensor_msgs/PointCloud2`, with numpy and struct, without rclpy.
+"""Encoder and decoder of tables: `Table` <-> bytes of a `sensor_msgs/PointCloud2` in little-endian CDR, without rclpy.
 
     encapsulation 00 01 00 00 | stamp i4 u4 | frame_id | height u4 = 1 | width u4
     | fields[]: name, offset u4, datatype u1, count u4
@@ -116,7 +116,13 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
 
 
 def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
-    """Return a serialised `geometry_msgs/PolygonStamped` through points (x, y, z), shape (n, 3)."""
+    """Return a serialised `geometry_msgs/PolygonStamped`, as plotters read it.
+
+    Args:
+        stamp_ns: stamp of the message [ns].
+        frame_id: frame of the message.
+        points: points (x, y, z), shape (n, 3).
+    """
     stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
     _append_text(stream, frame_id, "frame_id")
     _append_u4(stream, len(points))
@@ -177,7 +183,7 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
 @attrs.frozen(eq=False)
 class _Plan:
-    """Plan for turning tables of one type into tables of one topic."""
+    """Plan for turning tables with one type of rows into tables with the columns of one topic."""
 
     fits: bool  # whether the rows can stay unchanged
     dtype: np.dtype[np.void]  # row type of the result otherwise
@@ -188,7 +194,11 @@ class _Plan:
 
 @functools.lru_cache(maxsize=256)  # few types of rows exist
 def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
-    """Return the plan for tables of the type `found`; raise an error if such tables are not allowed."""
+    """Return the plan for turning tables with rows of the type `found` into tables of a topic.
+
+    Raises:
+        CodecError: a column of the topic or of `needs` is missing, or a column has another type.
+    """
     there = {name: found[name] for name in found.names or ()}
     kinds = [(column.name, np.dtype(column.kind)) for column in topic.fields]
     own = {name for name, _ in kinds}
@@ -224,7 +234,16 @@ def _fitted(rows: NDArray[np.void], plan: _Plan) -> NDArray[np.void]:
 
 @entry(BYTES, int, int, float, float, bool, returns=int)
 def _first_wrong(data: NDArray[np.uint8], offset: int, step: int, least: float, most: float, whole: bool) -> int:
-    """Return the first row whose number is not allowed, or the number of rows; one number per `step` bytes."""
+    """Return the index of the first row with a number that is not allowed, or the number of rows if there is none.
+
+    Args:
+        data: the rows as bytes.
+        offset: position of the number in a row.
+        step: number of bytes per row.
+        least: smallest number that is allowed.
+        most: largest number that is allowed.
+        whole: whether only integers are allowed.
+    """
     count = len(data) // step
     for row in range(count):
         begin = row * step + offset
@@ -274,7 +293,7 @@ _heads: dict[int, _Head] = {}  # the newest head, by the length of its message
 
 
 def _head(view: memoryview) -> _Head:
-    """Parse the head of a message, and check the rest of the message against it."""
+    """Parse the head of a serialised PointCloud2, and check that the rest of the message has the length it states."""
     cursor = _Cursor(view, _HEADER.size)
     frame_id = cursor.text("frame_id")
     height, width = cursor.u4("height"), cursor.u4("width")
@@ -324,10 +343,10 @@ def header_stamp_ns(data: Buffer) -> int:
 
 
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
-    """Return stamp [ns] and the positions, velocities and efforts of a serialised `sensor_msgs/JointState`.
+    """Return stamp [ns] and (positions, velocities, efforts) of a serialised `sensor_msgs/JointState`.
 
     Raises:
-        CodecError: the data is no such message.
+        CodecError: `data` is not a JointState in little-endian CDR.
     """
     stamp = header_stamp_ns(data)
     cursor = _Cursor(memoryview(data).cast("B"), _ORIGIN + _STAMP.size)
@@ -338,7 +357,12 @@ def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
 
 
 def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
-    """Return a serialised `sensor_msgs/JointState` without names: positions, velocities and efforts, if given."""
+    """Return a serialised `sensor_msgs/JointState` without names of joints.
+
+    Args:
+        stamp_ns: stamp of the message [ns].
+        values: positions, then velocities, then efforts; those that are not given are empty.
+    """
     stream = bytearray(_HEADER.pack(_ENCAPSULATION, *divmod(stamp_ns, NS_PER_S)))
     _append_text(stream, "", "frame_id")
     for numbers in ((), *values, *[()] * (3 - len(values))):
@@ -349,11 +373,11 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 
 
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
-    """Return the members of a serialised message by path: a number, a text, or a tuple of numbers.
+    """Return members of a serialised message of any type, by path: a number, a text, or a tuple of numbers.
 
     Args:
         data: the message.
-        members: path, primitive type and count of each member: numbers in any fixed count, a text only singly.
+        members: path, primitive type and count of every member in order; a text must have the count 1.
 
     Raises:
         CodecError: a member is of another kind, or missing in the message.
@@ -384,7 +408,7 @@ def text(data: Buffer) -> str:
     """Return the content of a serialised `std_msgs/String`.
 
     Raises:
-        CodecError: the data is no such message.
+        CodecError: `data` is too short, or its text is not UTF-8 that ends with its only NUL.
     """
     return _Cursor(memoryview(data).cast("B"), _ORIGIN).text("data")
 
@@ -433,7 +457,7 @@ class _Cursor:
 
 
 def _layout(cursor: _Cursor) -> np.dtype[np.void]:
-    """Return the row type, `fields` to `point_step`."""
+    """Read the members `fields` to `point_step` of a PointCloud2, and return the type of its rows."""
     columns = _columns(cursor)
     if cursor.u1("is_bigendian"):
         raise CodecError("big-endian data (is_bigendian is set) is not supported")
@@ -441,7 +465,7 @@ def _layout(cursor: _Cursor) -> np.dtype[np.void]:
 
 
 def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
-    """Return name -> (numpy format, offset) of the message's fields."""
+    """Read the member `fields` of a PointCloud2, and return numpy format and offset in a row for each column's name."""
     count = cursor.u4("number of fields")
     if not 1 <= count <= MAX_COLUMNS:
         raise CodecError(f"number of fields must be 1 to {MAX_COLUMNS}, got {count}")
@@ -463,7 +487,10 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
 
 
 def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.void]:
-    """Return the row type; columns may be in any order and leave gaps, but not overlap or exceed the point."""
+    """Return the type of rows of `point_step` bytes with these columns: name -> (numpy format, offset).
+
+    Columns may be in any order and leave gaps, but must not overlap or exceed the row.
+    """
     end = 0
     for name, (fmt, offset) in sorted(columns.items(), key=lambda item: item[1][1]):
         if offset < end:
@@ -478,9 +505,10 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
 
 @functools.lru_cache(maxsize=64)  # few dtypes and frames exist
 def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, bytes]:
-    """Return the parts that all messages of this dtype and frame share: (frame_id and height, fields to point_step).
+    """Return the bytes that all PointCloud2 messages of this row type and frame share.
 
-    They are cached, because building them costs ten times as much as the rest of a message.
+    These are two parts: frame_id and height, and the members from `fields` to `point_step`. They are cached, because
+    building them costs ten times as much as the rest of a message.
     """
     if dtype.fields is None or not dtype.names:
         raise CodecError(f"rows must be a structured array with at least one column, got {dtype}")
@@ -503,7 +531,7 @@ def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, byt
 
 
 def _datatype(name: str, column: np.dtype[np.generic]) -> tuple[int, int]:
-    """Return (datatype, count) of `sensor_msgs/PointField`."""
+    """Return the members `datatype` and `count` of the `sensor_msgs/PointField` that describes a column."""
     if column == _TEXT_DTYPE:
         return _UINT8, _TEXT_DTYPE.itemsize
     if column not in _DATATYPE_OF:

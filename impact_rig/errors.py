@@ -23,7 +23,10 @@ LONGEST_WORD = 100  # longest word that is compared: the time grows with its len
 
 
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
-    """Return `question` with the most similar known word in its braces, or `otherwise` if none is similar."""
+    """Return a hint for the message about an unknown word.
+
+    It is `question` with the most similar known word in its braces, or `otherwise` if no known word is similar.
+    """
     close = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return question.format(close[0]) if close else otherwise
 
@@ -70,7 +73,7 @@ class RecordingError(ImpactRigError, OSError):
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A process in use has ended by itself, so that a request to it has no answer."""
+    """A process of a rig, analysis or recorder that this program uses has ended, so that it cannot answer a request."""
 
 
 class SimulationError(ImpactRigError, RuntimeError):
@@ -81,12 +84,12 @@ class SimulationError(ImpactRigError, RuntimeError):
 
 
 def describe(error: BaseException) -> str:
-    """Return one line for users: type, message and source line."""
+    """Return an unexpected error as one line for users: type, message, and the source line that raised it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the reason of a rejection: the message of our own errors, a description of unexpected ones."""
+    """Return why an input was rejected, for users: the message of an `ImpactRigError`, or `describe` of any other."""
     return str(error) if isinstance(error, ImpactRigError) else describe(error)

@@ -21,12 +21,12 @@ from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
 COMMAND_GRID_NS = 10_000_000
-"""Length of a tick: commands take effect at the end of the last simulated tick, regardless of the block length."""
+"""Length of a tick [ns]: commands take effect at the end of the last simulated tick, regardless of block length."""
 COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 
 def stamp_ns(index: int, rate_hz: float, start_ns: int = 0) -> int:
-    """Return the time of scan `index` [ns]: exact integer arithmetic, rounded down, for any rate."""
+    """Return the rig time of scan `index` [ns], if scan 0 is at `start_ns`: exact for any rate, rounded down."""
     over, under = rate_hz.as_integer_ratio()
     return start_ns + index * NS_PER_S * under // over

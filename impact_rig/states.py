@@ -49,7 +49,7 @@ class Word(enum.StrEnum):
 
 
 class RigWord(Word):
-    """State of the rig, the most severe first."""
+    """States of the rig node, the most severe first; of several that apply, the first is reported."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     RIVAL = "rival", "another node publishes this rig's topics, or holds its namespace"
@@ -66,7 +66,7 @@ class RigWord(Word):
 
 
 class AnalysisWord(Word):
-    """State of the analysis node, the most severe first."""
+    """States of the analysis node, the most severe first; of several that apply, the first is reported."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     NO_SCANS = "no_scans", "no scans received yet, or none for two seconds"
@@ -81,7 +81,7 @@ class AnalysisWord(Word):
 
 
 class RecorderWord(Word):
-    """State of the recorder, the most severe first."""
+    """States of the recorder node, the most severe first; of several that apply, the first is reported."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     FAILED = "failed", "disk full, directory gone, ...: nothing is recorded"
@@ -96,7 +96,7 @@ class RecorderWord(Word):
 
 
 class PlotWord(Word):
-    """State of the plot node."""
+    """States of the plot node, which derives topics for plotters from scans."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     PLOTTING = "plotting", "a plotter subscribes to a topic derived from scans"
@@ -104,7 +104,7 @@ class PlotWord(Word):
 
 
 class SteppedSineWord(Word):
-    """State of the stepped-sine node, the most severe first."""
+    """States of the stepped-sine node, the most severe first; of several that apply, the first is reported."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     ABORTED = "aborted", "the last sweep ended before its plan: the reason says why"
@@ -122,7 +122,7 @@ BY_NODE: dict[str, type[NodeWord]] = {
     "plot": PlotWord,
     "stepped_sine": SteppedSineWord,
 }
-"""The words of each node, by its name."""
+"""Class with the state words of each node, by the node's name."""
 
 
 class Status(Word):

@@ -36,7 +36,10 @@ HISTORY_DEPTH = 5000
 
 
 class Qos(enum.Enum):
-    """The qualities of service in use; all are reliable with KEEP_LAST."""
+    """Qualities of service of the topics: messages kept, and whether late subscribers receive them.
+
+    All are reliable with KEEP_LAST.
+    """
 
     DATA = (DATA_DEPTH, False)
     STATE = (DATA_DEPTH, True)  # every change is delivered, and a late subscriber receives the last ones
@@ -51,13 +54,13 @@ class Qos(enum.Enum):
 
     @property
     def transient_local(self) -> bool:
-        """Durability: a late subscriber receives messages published before."""
+        """Return whether a late subscriber receives messages that were published before it subscribed."""
         return self.value[1]
 
 
 @attrs.frozen(eq=False)
 class Topic:
-    """One row of the table."""
+    """Description of one topic: name, type, quality of service, publisher and content."""
 
     name: str  # relative topic name, or an absolute one by convention
     type_name: str  # ROS interface, `package/msg/Type`
@@ -69,7 +72,7 @@ class Topic:
     frame_id: str = ""
     recorded: bool = True  # whether it belongs to every run; data for plotters can be derived from the recorded topics
     further: str = ""
-    """Type of the columns that may follow `fields` in a table; empty: any type, for columns of a later version."""
+    """Numpy type of the columns that may follow `fields` in a table; empty: any, as a later version may add columns."""
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"  # type of every table
@@ -82,7 +85,7 @@ def _table(
 
 
 def former_table(name: str, fields: tuple[Column, ...]) -> Topic:
-    """Return the topic of a table that only recordings of an earlier version contain."""
+    """Return the description of a topic of tables that only recordings of an earlier version contain."""
     return _table(name, Qos.HISTORY, "rig", fields, "")
 
 
@@ -199,7 +202,8 @@ def _extremes(name: str, unit: str, doc: str) -> Topic:
 
 PLOT_TRANSMISSIBILITY = _plotted(
     "transmissibility", Qos.LATCHED, "last settled transmissibility; stamp = last scan measured.",
-    Column("vector.x", "-", "Transmissibility."), Column("vector.y", "-", "Its standard uncertainty."),
+    Column("vector.x", "-", "Transmissibility."),
+    Column("vector.y", "-", "Standard uncertainty of the transmissibility."),
     Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
 )  # fmt: skip
 PLOT_DRIVE = _plotted(
@@ -213,12 +217,12 @@ PLOT_PULSES = _extremes(
 
 
 def envelope(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's envelope."""
+    """Return the topic of a channel's envelope: its least, largest and rms value in each 20 ms, for plotters."""
     return _extremes(channel, unit, "every scan of an interval of 20 ms in three numbers; stamp = its first scan.")
 
 
 def spectrum(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's amplitude spectrum."""
+    """Return the topic of a channel's amplitude spectrum, once a second, for plotters."""
     return Topic(
         f"plot/spectrum/{channel}", "geometry_msgs/msg/PolygonStamped", Qos.DATA, "plot",
         "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
@@ -232,7 +236,7 @@ DIAGNOSTICS = Topic(
     "diagnostic_msgs/msg/DiagnosticArray",
     Qos.EVENT,
     "every node",
-    "At 1 Hz and on change.",
+    "State of each node, at 1 Hz and on change.",
     (
         Column("header.stamp", "-", "Rig time in nodes that follow it."),
         Column("status[0].name", "-", "`NODE: COMPONENT`, the node's name with its namespace."),
@@ -244,8 +248,8 @@ DIAGNOSTICS = Topic(
 )
 CLOCK = Topic(
     "/clock", "rosgraph_msgs/msg/Clock", Qos.DATA, "rig",
-    "Rig time, by default unless in real time x 1 (time.publish_clock).",
-    (Column("clock", "-", "End of the newest block."),),
+    "Rig time; by default it is published unless the rig runs in real time x 1 (time.publish_clock).",
+    (Column("clock", "-", "Rig time at the end of the newest block."),),
 )  # fmt: skip
 
 COMMON = (
@@ -255,4 +259,4 @@ COMMON = (
 )  # fmt: skip
 """All topics that do not depend on the instruments; `nodes.messages.TOPICS` adds those of the instruments' monitors."""
 BULKY = (SCAN, TRUTH_SCAN)
-"""Topics for which the number of messages that a rig keeps depends on its blocks."""
+"""Topics of which a rig keeps a number of messages that depends on the length of its blocks."""

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Tools for configurations: sections with units, ranges and origins, and one validator for all sources of values.
 
-`impact_rig.rig.config` combines them to the rig's configuration.
+`impact_rig.rig.config` combines the sections into the configuration of a rig.
 """
 
 from impact_rig.config.fields import FieldInfo, Origin

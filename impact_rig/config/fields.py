@@ -42,7 +42,7 @@ _LIST_FORM = re.compile(r"\[[-+.0-9eE, ]{1,10000}\]")
 
 
 class Origin(enum.Enum):
-    """Origin of a default value."""
+    """Origin of a default value: printed in the paper, identified from its results, or assumed."""
 
     PAPER = "paper"  # printed in the paper
     IDENTIFIED = "identified"  # chosen so that the paper's published statements hold
@@ -51,22 +51,22 @@ class Origin(enum.Enum):
 
 @attrs.frozen
 class FieldInfo:
-    """Description of one configuration value: unit, allowed range, origin of its default, one sentence."""
+    """Description of one configuration value: meaning, unit, allowed range, and origin of its default."""
 
-    doc: str
-    unit: str = "-"
-    origin: Origin = Origin.ASSUMED
-    low: float | None = None
-    high: float | None = None
-    low_open: bool = False
-    high_open: bool = False
-    choices: tuple[str, ...] = ()
-    read_only: bool = False
-    pattern: str = ""
-    means: str = ""
+    doc: str  # meaning, in one sentence
+    unit: str = "-"  # SI unit, `-` for none
+    origin: Origin = Origin.ASSUMED  # origin of the default
+    low: float | None = None  # lower bound; None for none
+    high: float | None = None  # upper bound; None for none
+    low_open: bool = False  # whether the value must be greater than `low`, not equal to it
+    high_open: bool = False  # whether the value must be less than `high`, not equal to it
+    choices: tuple[str, ...] = ()  # allowed words
+    read_only: bool = False  # whether the value is fixed at the start of the rig
+    pattern: str = ""  # regular expression that a text must match
+    means: str = ""  # texts that `pattern` allows, for messages
 
     def range_text(self) -> str:
-        """Return the allowed range as text, for example `> 0 and <= 1`."""
+        """Return the allowed values as text for messages, for example `> 0 and <= 1` or `one of sine, chirp`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.means:
@@ -86,7 +86,7 @@ class FieldInfo:
 
 
 def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
-    """Return the `FieldInfo` of an attrs attribute made by this module."""
+    """Return the description of a configuration value, from its attrs attribute, which this module has made."""
     found = attribute.metadata[METADATA_KEY]
     assert isinstance(found, FieldInfo)
     return found
@@ -143,7 +143,7 @@ def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: obj
 
 
 def _to_float(value: object) -> object:
-    """Return a number for a value that means one; the validator rejects anything else.
+    """Return a float for an integer, or for a text such as `8e-06`; other values unchanged, for the validator to check.
 
     Users write 6 for 6.0. They and `ros2 param load` write 8e-06, which YAML 1.1 reads as text because it has no point.
     """
@@ -160,7 +160,10 @@ def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
 
 
 def _list_to_names(value: object) -> object:
-    """Convert ROS's form of an empty list, `[""]`; each item must be one line, as in the journal."""
+    """Return a list of texts as a tuple, without empty texts, because ROS writes an empty list as `[""]`.
+
+    Line ends within a text become blanks, because the journal has one line per text.
+    """
     if not isinstance(value, (list, tuple)):
         return value
     return tuple(item.replace("\n", " ") if isinstance(item, str) else item for item in value if item != "")
@@ -190,7 +193,11 @@ def quantity(
     at_most: float | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of a finite float with unit and range; `above` and `below` are open bounds."""
+    """Return the attrs field of a finite float with unit and range.
+
+    `above` and `below` are bounds that the value must not reach, `at_least` and `at_most` those that it may reach. A
+    `read_only` value is fixed at the start of the rig.
+    """
     about = FieldInfo(
         doc,
         unit,
@@ -221,7 +228,7 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of an integer with a unit and a closed range."""
+    """Return the attrs field of an integer with a unit, and a range that includes its bounds."""
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
@@ -236,7 +243,7 @@ def choice(
     switched: Mapping[bool, str] | None = None,
     formerly: Mapping[str, str] | None = None,
 ) -> Any:
-    """Return the attrs field of a word out of `choices`, none of which may mean something else in YAML.
+    """Return the attrs field of a word out of `choices`; none of them may be a word that YAML reads as another type.
 
     `switched` maps true and false to words; this covers `on` and `off`, which YAML reads as true and false.
     `formerly` maps words of an earlier version, which recordings contain, to their present names.
@@ -249,12 +256,12 @@ def choice(
 
 
 def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_only: bool = False) -> Any:
-    """Return the attrs field of a truth value."""
+    """Return the attrs field of a value that is true or false."""
     return _field(default, FieldInfo(doc, "-", origin, read_only=read_only), _check_bool)
 
 
 def names(default: tuple[str, ...], doc: str) -> Any:
-    """Return the attrs field of a tuple of words."""
+    """Return the attrs field of a tuple of texts, such as names of nodes, which may be empty."""
     return _field(default, FieldInfo(doc), _check_names, _list_to_names)
 
 
@@ -267,7 +274,7 @@ def _check_text(_instance: object, attribute: attrs.Attribute[Any], value: objec
 
 
 def _number_to_text(value: object) -> object:
-    """Convert a number to text, because YAML reads a name like 2026 as a number; the validator rejects other values."""
+    """Return a number as text, because YAML reads a name like 2026 as a number; return other values unchanged."""
     return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 

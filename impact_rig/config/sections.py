@@ -29,10 +29,12 @@ from impact_rig.errors import ConfigError
 FASTEST_HZ = 1e4  # far above any motion of this rig; at a hundred megahertz a tick would take minutes to simulate
 SLOWEST_HZ = 0.1
 """Lowest drive frequency, lower than that of any shaker. Columns with the highest natural frequency, 10⁴ times as high,
-then stretch by 10⁻⁸ of the base's motion, and their difference of two positions loses half of its digits.
+then bend by 10⁻⁸ of the base's motion. This deflection, a difference of two positions, has lost half of its digits.
 """
 SLOWEST_NOISE_HZ = 1.0
-"""Lowest frequency of a random band: its base moves in straight lines between ticks, and loses more of these digits."""
+"""Lowest frequency of a random drive. It moves a base in straight lines between ticks, which costs further digits of
+the columns' deflection, see `SLOWEST_HZ`.
+"""
 
 
 @attrs.frozen(kw_only=True)
@@ -111,7 +113,7 @@ class Shaker:
 
 @attrs.frozen(kw_only=True)
 class Drive:
-    """Drive of the base."""
+    """Drive of the inferior base: quantity, waveform, and command at the start."""
 
     kind: str = choice(
         "current",
@@ -168,7 +170,7 @@ class Drive:
 
 @attrs.frozen(kw_only=True)
 class Sphere:
-    """The loose steel sphere."""
+    """Loose steel sphere between the barriers."""
 
     present: bool = switch(True, "Whether the sphere is on the rig.", Origin.PAPER)
     start: str = choice(
@@ -196,7 +198,7 @@ class Sphere:
 
 @attrs.frozen(kw_only=True)
 class Barriers:
-    """The two barriers on the superior base."""
+    """Two barriers on the superior base, between which the sphere moves."""
 
     gap_m: float = quantity(
         6e-3,
@@ -214,7 +216,7 @@ class Barriers:
 
 @attrs.frozen(kw_only=True)
 class Daq:
-    """The scan clock of the data acquisition board."""
+    """Scan clock of the data acquisition board, and the seed of all random numbers."""
 
     rate_hz: int = integer(
         10_000, "Hz", "Scans per second, per channel.", at_least=100, at_most=250_000, read_only=True
@@ -232,7 +234,7 @@ class Daq:
 
 @attrs.frozen(kw_only=True)
 class Time:
-    """Passage of rig time."""
+    """Pace of rig time, and the nodes for which it waits."""
 
     mode: str = choice(
         "realtime",
@@ -297,7 +299,7 @@ class Pluck:
 
 @attrs.frozen(kw_only=True)
 class Output:
-    """Publications in addition to the scans."""
+    """Publications of the rig node in addition to the scans, its start, and its command timeout."""
 
     monitor_rate_hz: float = quantity(
         50.0,

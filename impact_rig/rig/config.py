@@ -68,17 +68,17 @@ class RigConfig:
         if shaker.frequency_min_hz >= shaker.frequency_max_hz:
             raise ConfigError(
                 f"shaker.frequency_min_hz must be < frequency_max_hz = {shaker.frequency_max_hz:g} Hz, "
-                f"got {shaker.frequency_min_hz:g}"
+                f"got {shaker.frequency_min_hz:g} Hz"
             )
         if drive.random_low_hz >= drive.random_high_hz:
             raise ConfigError(
                 f"drive.random_low_hz must be < random_high_hz = {drive.random_high_hz:g} Hz, "
-                f"got {drive.random_low_hz:g}"
+                f"got {drive.random_low_hz:g} Hz"
             )
         if not shaker.frequency_min_hz <= drive.frequency_hz <= shaker.frequency_max_hz:
             raise ConfigError(
                 f"drive.frequency_hz must be within the shaker's {shaker.frequency_min_hz:g} to "
-                f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g}"
+                f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g} Hz"
             )
         if (drive.kind, drive.waveform, drive.stream_hold) == ("prescribed", "stream", "zero_order"):
             raise ConfigError("drive.stream_hold must be first_order for a prescribed base, which cannot jump")

@@ -81,10 +81,10 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
 
 
 def tried_model(config: RigConfig) -> Model:
-    """Return the model of a configuration after a short trial simulation with finite motion.
+    """Return the mechanical model of a configuration, after a short trial simulation whose motion stayed finite.
 
     Raises:
-        ConfigError: the values are jointly infeasible.
+        ConfigError: the mechanics with this combination of values cannot be simulated.
     """
     try:
         model = build(config)
@@ -218,7 +218,7 @@ class Rig:
 
     @property
     def target_amplitude(self) -> float:
-        """Commanded drive amplitude (a ramp leads to it); A, m or V by `drive.kind`."""
+        """Commanded drive amplitude, to which a ramp leads: peak (rms for random), in A, m or V by `drive.kind`."""
         return float(self._generator.target_amplitude)
 
     @property
@@ -486,7 +486,7 @@ class Rig:
         """Apply a configuration that differs from the present one in the values `changed`, as `configure` does.
 
         Raises:
-            ConfigError: a bad combination; nothing is changed.
+            ConfigError: the values contradict each other, or cannot be simulated together; nothing is changed.
         """
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = until_reset(self._chain.config, config)
@@ -560,14 +560,14 @@ class Rig:
         """Start an instrument fault on demand and return its id.
 
         Raises:
-            CommandError: unknown kind or channel, or a start that is already measured.
+            CommandError: kind or channel is unknown, or the fault starts at a scan that is already measured.
         """
         number = self._chain.inject(fault)
         self._journal.add(fault.start_sample, InputKind.FAULT, fault=fault)
         return number
 
     def clear_fault(self, number: int | None = None) -> None:
-        """End one instrument fault, or all of them, at the first scan not yet measured."""
+        """End the instrument fault with the id `number` (None: all of them) at the first scan not yet measured."""
         self._chain.clear(number)
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 

@@ -37,7 +37,7 @@ JOINTS = ("base", "structure", "sphere")  # the joints, in the order of `truth/j
 ROOT = "rig"
 """The fixed frame: x along the rig, positive to the right; its origin is the middle position of bases and sphere."""
 BASE, STRUCTURE, SPHERE = "inferior_base", "superior_base", "sphere"
-"""Links of the joints; the accelerometer is on the superior base and shares its frame."""
+"""Names of the bodies that move, in the order of `JOINTS`; the accelerometer shares the superior base's frame."""
 
 Size = tuple[float, float, float]
 

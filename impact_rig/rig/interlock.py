@@ -38,11 +38,12 @@ from impact_rig.physics.sampling import QUERY, SAMPLED, Query, SamplingWorkspace
 from impact_rig.physics.stream import UNDERRUN
 
 LOOKS_PER_TICK = 10
-"""Spacing of the samples: 1 ms. The extremes between them follow from position and velocity. At the 30 Hz below which
-this shaker can reach its stops, their error is 3e-6 (spacing⁴ ω⁴ / 384).
+"""Number of instants per tick at which the interlock samples the motion: one per 1 ms. The extremes between them follow
+from position and velocity. At the 30 Hz below which this shaker can reach its stops, their error is 3e-6
+(spacing⁴ ω⁴ / 384).
 """
 CURRENT_TIME_S = 1.0
-"""Averaging time of the rms current."""
+"""Time constant of the exponential average of the squared current [s]."""
 OVER_CURRENT_MARGIN = 1.05
 """Factor on the current limit at which the interlock trips: the average of a sine at the limit, which is a legal
 command, ripples by 0.8 % at 5 Hz.
@@ -52,35 +53,38 @@ OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 @attrs.frozen
 class Trip:
-    """Trip of the shaker: its reason (over-travel, over-current or an underrun), and its tick within the call."""
+    """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun."""
 
-    tick: int
-    reason: str
-    measured: float
-    limit: float
+    tick: int  # tick within the simulated ones, from 0
+    reason: str  # OVER_TRAVEL, OVER_CURRENT or UNDERRUN
+    measured: float  # travel [m], current [A rms], or number of the missing sample
+    limit: float  # limit of travel [m] or current [A rms]; 0 for an underrun
 
     def message(self) -> str:
-        """Return one line for users."""
+        """Return the reason with the measured value and its limit, as one line for users."""
         if self.reason == UNDERRUN:
             return f"{self.reason}: sample {self.measured:.0f} of the stream did not arrive in time"
         if self.reason == OVER_TRAVEL:
             return f"{self.reason}: {1e3 * self.measured:.4g} mm of travel, limit {1e3 * self.limit:.4g} mm"
-        return f"{self.reason}: {self.measured:.4g} A rms, limit {self.limit:.4g} A"
+        return f"{self.reason}: coil current {self.measured:.4g} A rms, limit {self.limit:.4g} A rms"
 
 
 class Interlock:
-    """Monitor of the shaker, tick by tick; a prescribed base motion has no shaker and never trips."""
+    """Monitor of simulated ticks that trips if the travel of the base or its coil current exceeds the shaker's limits.
+
+    A prescribed base motion has no shaker and never trips.
+    """
 
     def __init__(self) -> None:
         self._mean_square = 0.0
         self._looks: Query | None = None  # scratch memory for the sampled instants and quantities
 
     def reset(self) -> None:
-        """Clear the averaged current."""
+        """Forget the average of the current, so that the past does not trip the shaker again."""
         self._mean_square = 0.0
 
     def copy(self) -> Interlock:
-        """Return an independent copy."""
+        """Return an independent copy, which allows ticks to be simulated again from an earlier state."""
         twin = Interlock()
         twin._mean_square = self._mean_square
         return twin
@@ -88,11 +92,11 @@ class Interlock:
     def watch(
         self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
     ) -> Trip | None:
-        """Return the first trip in simulated ticks, or None; remembers the current up to there.
+        """Return the first trip in simulated ticks, or None; update the average of the current up to the trip.
 
         Args:
             motion: simulated ticks, of `tick_s` seconds each.
-            tick_s: duration of a tick.
+            tick_s: duration of a tick [s of motion].
             drive: drive that moved the base.
             shaker: shaker with its limits.
             known: reasons that have tripped already and do not trip again.
@@ -120,7 +124,7 @@ class Interlock:
 
 @functools.lru_cache(maxsize=4)
 def _gain(tick_s: float) -> float:
-    """Return the weight of a tick in the average of the current."""
+    """Return the weight of one tick of `tick_s` seconds in the exponential average of the squared current."""
     return 1.0 - float(exp(-tick_s / CURRENT_TIME_S))
 
 
@@ -145,7 +149,7 @@ def travel_and_current(
 
 @kernel
 def mean_square(values: Reals) -> float:
-    """Return the mean of the squares of all values except the first, added up in order."""
+    """Return the mean of the squares of all values except the first, which is that of the tick before."""
     total = 0.0
     for i in range(1, values.shape[0]):
         total += values[i] * values[i]
@@ -154,7 +158,10 @@ def mean_square(values: Reals) -> float:
 
 @entry(SEGMENT, INTEGERS, float, REALS_2D)
 def mean_square_of_lines(segments: Records, first_segment: Integers, tick_s: float, found: Reals) -> None:
-    """Compute `found[:, 1]` for a current of straight lines [A²]; `first_segment` is that of a Motion."""
+    """Compute each tick's mean square of a streamed current [A²] exactly, into `found[:, 1]`.
+
+    The current consists of straight lines, `segments`, of which those of tick i begin at `first_segment[i]`.
+    """
     for tick in range(found.shape[0]):
         total = 0.0
         for i in range(first_segment[tick], first_segment[tick + 1]):
@@ -166,7 +173,7 @@ def mean_square_of_lines(segments: Records, first_segment: Integers, tick_s: flo
 
 @kernel
 def largest_travel(position: Reals, velocity: Reals, spacing_s: float) -> float:
-    """Return the largest |position|, between the samples as well.
+    """Return the largest |position| [m] of a sampled motion, also between the samples.
 
     Position [m] and its rate, velocity [m/s], have shape (n,). The samples are `spacing_s` [s] apart, so close that the
     velocity changes its sign at most once between two of them. Between two samples the position is the cubic through
@@ -189,18 +196,18 @@ def largest_travel(position: Reals, velocity: Reals, spacing_s: float) -> float:
 
 
 def check_frequency(frequency_hz: float, shaker: Shaker) -> None:
-    """Raise an error for a frequency outside the shaker's range.
+    """Check that a commanded drive frequency is within the shaker's range.
 
     Raises:
         CommandError: the frequency is out of range; the message names value and range.
     """
     low, high = shaker.frequency_min_hz, shaker.frequency_max_hz
     if not math.isfinite(frequency_hz) or not low <= frequency_hz <= high:
-        raise CommandError(f"frequency must be >= {low:g} and <= {high:g} Hz, got {frequency_hz:g}")
+        raise CommandError(f"frequency must be >= {low:g} and <= {high:g} Hz, got {frequency_hz:g} Hz")
 
 
 def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
-    """Raise an error for an amplitude that is not finite, negative, or above the shaker's limit.
+    """Check that a commanded drive amplitude is finite, not negative, and within the shaker's limit.
 
     Raises:
         CommandError: the amplitude is not allowed; the message names value and range.
@@ -211,10 +218,11 @@ def check_amplitude(amplitude: float, drive: Drive, shaker: Shaker) -> None:
 
 
 def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> None:
-    """Raise an error for samples that are not finite or exceed the shaker's limit.
+    """Check that samples of a stream are finite and within the shaker's limit.
 
-    Raises: CommandError: a sample is not allowed, or the shape is wrong; the message names the first such sample and
-    the limit.
+    Raises:
+        CommandError: a sample is not allowed, or the shape is wrong; the message names the first such sample and the
+            limit.
     """
     if values.ndim != 1:
         raise CommandError(f"a block of samples must have the shape (n,), got {values.shape}")
@@ -226,7 +234,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
-    """Return name, unit and value of the largest allowed amplitude, and the parameter that limits it."""
+    """Return the limit of the drive amplitude: its name, unit and value, and the parameter from which it follows."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Scans at monitor rate, for plotters.
+"""Low-pass filter that reduces scans to the monitor rate, for the topics that plotters show.
 
 Scans at 10 kS/s shown at 50 Hz would alias every pulse, so readings first pass a low-pass: a windowed sinc (Kaiser,
 beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). It is eight monitor periods long and
@@ -42,7 +42,10 @@ _BESSEL_TERMS = 20  # of I_0 up to BETA: the remainder is below rounding
 
 @functools.lru_cache(maxsize=4)
 def taps(step: int) -> NDArray[np.float64]:
-    """Return the filter for a monitor of every `step`-th scan, with sum 1, shape (8 step + 1,); (1,) for step 1."""
+    """Return the weights of the low-pass filter for a monitor that shows every `step`-th scan.
+
+    Their sum is 1, and their shape (8 step + 1,), or (1,) for step 1.
+    """
     if step == 1:
         return np.ones(1)
     offsets = np.arange(-HALF_PERIODS * step, HALF_PERIODS * step + 1)
@@ -61,15 +64,15 @@ def taps(step: int) -> NDArray[np.float64]:
 
 @attrs.frozen
 class Smoothed:
-    """A monitor instant: its scan since the start, the filtered channels, and the channels that were over range."""
+    """Filtered readings at one monitor instant."""
 
-    sample: int
-    values: dict[str, float]
-    status: int
+    sample: int  # number of the scan of this instant, since the start or reset
+    values: dict[str, float]  # filtered reading of each channel
+    status: int  # status bits of the scans around the instant: bit j for channel j over range
 
 
 class AntiAlias:
-    """Filter of a stream of scans at the monitor instants, the scans whose numbers are multiples of `step`.
+    """Low-pass filter of a stream of scans, which gives readings at the monitor instants: every `step`-th scan.
 
     Each scan is weighted once, on arrival, for every instant whose window contains it; no scan is kept.
 
@@ -89,9 +92,10 @@ class AntiAlias:
         self._layout = np.zeros(0, np.int64)
 
     def feed(self, first: int, rows: NDArray[np.void]) -> list[Smoothed]:
-        """Return the instants that a block completes; after a gap, as after a reset, a new stream begins.
+        """Filter a block of scans, and return the readings at the monitor instants whose windows it completes.
 
-        At the start of a stream the filter is truncated to the scans that exist.
+        After a gap, as after a reset, a new stream begins. At the start of a stream the filter is truncated to the
+        scans that exist.
 
         Args:
             first: number of the block's first scan.
@@ -128,7 +132,7 @@ def _weigh(
     statuses: Integers,
     done: Reals,
 ) -> int:
-    """Add a block to the windows that contain it; return how many windows end in it.
+    """Add a block of scans to the filter windows that contain them; return how many windows end in the block.
 
     Each window is summed scan by scan, so that the division into blocks changes no bit.
 

@@ -37,11 +37,11 @@ Samples = NDArray[np.float64]
 
 
 class Sent(NamedTuple):
-    """Block of shaker/waveform as received: its stamp, and the end of the newest scans at that time [ns]."""
+    """Block of samples on shaker/waveform, as it was recorded."""
 
-    stamp_ns: int
+    stamp_ns: int  # time of the first sample
     samples: Samples
-    received_ns: int = 0
+    received_ns: int = 0  # end of the newest scans when the block was received
     is_doubtful: bool = False
     """True if a reset may have discarded the block; then it is used only for samples that no other block contains."""
 
@@ -128,19 +128,19 @@ class RecordedSamples(Buffer):
         return held
 
     def values(self, first: int, end: int) -> Samples:
-        """Return the samples first … end − 1."""
+        """Return the recorded values of the stream's samples first … end − 1."""
         found: Samples = self._recorded[first:end]
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first inactive sample from `first` on."""
+        """Return the number of the first sample from `first` on that was not active."""
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
             return first
         return self._switches[at] if at < len(self._switches) else max(first, len(self._recorded))
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first active sample from `first` on, or None."""
+        """Return the number of the first sample from `first` on that was active; None if there is none."""
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2 == 0:
             return first

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The truth in addition to the instruments: true states at scan instants, and contacts, kept until their block is cut.
+"""Truth of a rig, which its instruments do not show: states at scan instants, and contacts, until their block is cut.
 
 Instants are computed from integer ticks and a remainder, so nothing depends on the division into calls.
 """
@@ -42,16 +42,16 @@ _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
-    """Return the number of scans between two monitor instants, rounded up."""
+    """Return the number of scans from one instant of the monitor topics to the next, so that `monitor_hz` is kept."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
 
 
 class Scans(NamedTuple):
-    """Selection of scans: number of the first, step, and scans per second."""
+    """Selection of scans at equal distances."""
 
-    first: int
-    step: int
-    rate_hz: int
+    first: int  # number of the first selected scan, since the start or reset
+    step: int  # scans from one selected scan to the next
+    rate_hz: int  # scans per second
 
 
 SCANS = Fields(Scans, (int, int, int))
@@ -67,9 +67,10 @@ def state_rows(
     tick_s: float,
     rows: Reals,
 ) -> None:
-    """Fill in the number of each scan, which becomes its time when the block is known, and the quantities of `query`.
+    """Fill in the true states at a selection of scans: each row has the number of the scan, and `query`'s q quantities.
 
-    `rows` has the shape (n, 1 + q); `query` has room for n instants.
+    The number becomes the time when the block is known. `rows` has the shape (n, 1 + q); `query` has room for n
+    instants. `tick_s` is the duration of a tick in seconds of motion.
     """
     seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
@@ -85,7 +86,7 @@ def state_rows(
 
 @entry(IMPACT, float, IMPACTS, REALS)
 def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Reals) -> None:
-    """Fill in the columns of the impacts, and the end of each since scan 0 [s].
+    """Fill in `rows` of truth/impacts for the impacts `found` in a motion, and `ends`, their ends since scan 0 [s].
 
     A second of motion is `clock_per_motion` seconds of the scan clock; durations are in seconds of motion.
     """
@@ -99,7 +100,7 @@ def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Re
 
 
 class Truth:
-    """Collector of the truth of simulated ticks, which are returned by scans.
+    """Collector of true states and contacts from simulated ticks, which returns them for blocks of scans.
 
     Args:
         rate_hz: scans per second.
@@ -116,7 +117,7 @@ class Truth:
         self._ends: list[float] = []  # their ends since scan 0, in order: a sphere has one contact at a time
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
-        """Change the selection from the next tick on."""
+        """Change of which scans the true states are kept, from the next tick on; arguments as for the class."""
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
@@ -125,7 +126,7 @@ class Truth:
         return 1 if self.every_scan else self.monitor_step
 
     def take(self, motion: Motion, tick_s: float) -> None:
-        """Keep the selected truth of simulated ticks, of `tick_s` seconds each."""
+        """Keep the true states at the selected scans, and the contacts, of ticks with `tick_s` seconds of motion."""
         self._take_states(motion, tick_s)
         self._take_impacts(motion, tick_s)
 
@@ -153,10 +154,11 @@ class Truth:
     def pop_states(
         self, first: int, count: int
     ) -> tuple[NDArray[np.void], NDArray[np.int64], NDArray[np.bool_] | slice]:
-        """Return and remove the kept rows of scans first … first + count − 1, with `time` since `first`.
+        """Return and remove the kept true states of scans first … first + count − 1.
 
-        The second array contains which of the `count` scans they are, the last value which of them are monitor
-        instants.
+        Returns:
+            The states, with `time` since scan `first`. The number of each one's scan, from 0 for scan `first`. Which of
+            them are instants of the monitor topics.
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS, _ALL
@@ -172,7 +174,7 @@ class Truth:
         return rows, found, monitor
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
-        """Return and remove the contacts that ended before the end of these scans, with `time` since `first`."""
+        """Return and remove the contacts that ended before the scan first + count, with `time` since scan `first`."""
         end_s = (first + count) / self._rate_hz
         done = bisect.bisect_left(self._ends, end_s)
         if done == 0:

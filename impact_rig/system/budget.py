@@ -42,9 +42,10 @@ HELD_BYTES = 64 * MIB
 MESSAGE_BYTES = 500  # memory overhead of a message
 INDEX_BYTES = 16 * MIB  # limit of the index of one file
 DECOMPRESSED_BYTES, DECOMPRESSED_PER_BYTE = 64 * MIB, 250
-"""Limit of all chunks together: a constant, and a number per byte of the files."""
+"""Limit of the decompressed bytes of all chunks together: a constant, plus a number per byte of the recording's files.
+"""
 RECORDS, RECORDS_PER_BYTE = 100_000, 1
-"""Limit of the records in all chunks together, mostly messages: a constant, and a number per byte of the files."""
+"""Limit of the records (mostly messages) of all chunks together: a constant, plus a number per byte of the files."""
 TOPICS = 5000
 QOS_CHARACTERS = 4 * MIB  # limit of the texts of all topics that state the offered quality of service
 METADATA_BYTES = 512 * 1024  # limit of `metadata.yaml`; half of it suffices for a thousand files
@@ -99,7 +100,7 @@ class ReadBudget:
     _records: int = attrs.field(default=0, init=False)
 
     def chunk(self, size: int) -> None:
-        """Count a chunk of `size` bytes, before it is decompressed.
+        """Count a chunk that will have `size` bytes, before it is decompressed.
 
         Raises:
             BudgetError: the chunk is too large, or all chunks together are.
@@ -110,7 +111,7 @@ class ReadBudget:
         allow(f"bytes in the chunks of {self.size} bytes of files", self._decompressed, limit)
 
     def records(self, count: int) -> None:
-        """Count the records of a chunk.
+        """Count the `count` records of one chunk.
 
         Raises:
             BudgetError: a chunk has too many to be held in memory, or all have too many together.

@@ -188,7 +188,7 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
 
 @contextlib.contextmanager
 def staged(directory: Path) -> Iterator[Path]:
-    """Yield a new folder with the name of `directory`, and move its content there after the block.
+    """Yield a temporary folder for results, and move its content to `directory` after the block.
 
     If the block fails, nothing is left, so the next attempt is not refused for files of this one.
 
@@ -312,7 +312,10 @@ def _put(partial: Path, path: Path) -> None:
 
 
 LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders
-"""Candidates for the directory of locks. No variable decides: two jobs on one machine must find the same."""
+"""Candidates for the parent of the directory of locks; the first usable one is taken.
+
+No environment variable decides, because all programs of a user on one machine must find the same locks.
+"""
 PLACES = "impact_rig_places"  # folder of the locks on namespaces of the graph
 
 

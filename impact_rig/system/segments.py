@@ -36,9 +36,9 @@ from impact_rig.system.endings import block_signals
 
 SHARED = Path("/dev/shm")  # noqa: S108  # directory of ports and segments of Fast DDS on Linux
 POLL_S = 1.0
-"""Interval between two checks. Creating a segment takes a fraction of a millisecond.
+"""Interval between two checks [s]. Creating a segment takes a fraction of a millisecond.
 
-A process seen doing so twice was killed.
+So if a segment is half created in two checks, the process that created it was killed.
 """
 PORTS = ("fastrtps_port", "fastdds_port")
 """Beginnings of the names of ports: of Fast DDS 2, and of Fast DDS 3 (ROS 2 Kilted)."""

@@ -86,8 +86,8 @@ class Golden:
 
         Args:
             found: the numbers by name.
-            rel: largest relative difference.
-            abs: largest absolute difference; it is enough that one of both limits is kept.
+            rel: part of a golden value by which a number may differ from it, in addition to `abs`.
+            abs: difference that is allowed for all numbers.
 
         Raises:
             AssertionError: all differences, or that there are no golden values yet.

@@ -92,7 +92,7 @@ class _Inbox:
         return bool(self.subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT)
 
     def put(self, number: int, data: bytes) -> bool:
-        """Append a message; return whether the oldest one was lost because the queue is full."""
+        """Append the message with this number; return whether the oldest one was lost because the queue is full."""
         qos = self.subscription.qos_profile
         is_full = qos.history != HistoryPolicy.KEEP_ALL and len(self.queue) >= max(1, qos.depth)
         if is_full:
@@ -239,7 +239,7 @@ class ScheduledRig(LocalRig):
         return config
 
     def save(self, directory: str | Path) -> Path:
-        """Write everything kept as an MCAP run, and the callbacks of hosted nodes as `callbacks.txt` next to it."""
+        """Write all kept messages of the rig as an MCAP run, with the callbacks of hosted nodes in `callbacks.txt`."""
         directory = super().save(directory)
         if self._hosted:
             (directory / "callbacks.txt").write_text("".join(f"{line}\n" for line in self.callbacks), encoding="utf-8")
@@ -315,7 +315,7 @@ class ScheduledRig(LocalRig):
 
     @property
     def _time_ns(self) -> int:
-        """Time of the nodes' clock: the end of the newest block."""
+        """Time of the hosted nodes' clock [ns]: the end of the rig's newest block."""
         return self._start_ns + self.now_ns
 
     def _after(self, blocks: int) -> int:
@@ -349,7 +349,7 @@ class ScheduledRig(LocalRig):
             self._publish_output(*self._outbox.popleft()[1:])
 
     def _route(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
-        """Put a message into the queues of its subscriptions."""
+        """Put a message into the queues of the hosted nodes' subscriptions to its topic, or drop or double it."""
         topic = topic.removeprefix("/")
         self._numbers += 1
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -373,7 +373,13 @@ class ScheduledRig(LocalRig):
                         self._note(hosted, f"{topic}: lost, the queue is full")
 
     def _find_entities(self) -> None:
-        """Connect new subscriptions of the hosted nodes, and refuse timers that run by wall time."""
+        """Find subscriptions that hosted nodes have created or destroyed, and refuse timers that run by wall time.
+
+        New subscriptions receive the latched messages of their topics.
+
+        Raises:
+            ConfigError: a timer does not follow the node's clock.
+        """
         for hosted in self._hosted:
             for timer in hosted.node.timers:
                 if timer.clock.clock_type != ClockType.ROS_TIME:
@@ -397,7 +403,7 @@ class ScheduledRig(LocalRig):
     # Callbacks
 
     def _deliver_messages(self) -> None:
-        """Run every callback that is due, one after the other."""
+        """Run every callback of hosted nodes that is due at this instant of rig time, one after the other."""
         now = Clock(clock=messages.time_message(self._time_ns))
         for hosted in self._hosted:
             for inbox in hosted.inboxes.values():
@@ -455,7 +461,11 @@ class ScheduledRig(LocalRig):
             action()
 
     def _call(self, hosted: _Hosted, what: str, callback: Callable[..., Any], *args: Any) -> None:
-        """Run a callback to its end; a coroutine must reach it without waiting."""
+        """Run a callback of a hosted node; a coroutine must reach its end without waiting.
+
+        Raises:
+            BlockedError: the callback waits or does not return; `what` names the callback in the message.
+        """
         with self._running(hosted, what):
             result = callback(*args)
             if not inspect.iscoroutine(result):
@@ -468,7 +478,7 @@ class ScheduledRig(LocalRig):
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
-        """Run a part of a node: what it publishes is routed, and what it sleeps is rig time."""
+        """Run code of a hosted node in this block: its messages go to the queues, and its sleeping takes rig time."""
 
         def publish(publisher: Any, message: Any) -> None:
             topic = publisher.topic_name
@@ -500,7 +510,7 @@ class ScheduledRig(LocalRig):
             yield
 
     def _publish_output(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
-        """Publish what a node has sent: to listeners, to the rig if it is a command, and to the other nodes."""
+        """Deliver a message of a hosted node to collectors, to the rig if it is a command, and to the nodes' queues."""
         relative = topic.removeprefix("/")
         message = deserialize_message(data, kind)
         if relative in self._collectors:

@@ -67,7 +67,7 @@ class ParameterChange:
     value: float | bool
 
     def do(self, rig: RigDriver) -> None:
-        """Change the parameter."""
+        """Change the parameter of the rig."""
         rig.configure({self.key: self.value})
 
 
@@ -119,7 +119,7 @@ class Reset:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Reset the rig."""
+        """Reset the rig after the callbacks."""
         scheduled(rig).after(self.after, scheduled(rig).reset)
 
 
@@ -136,7 +136,7 @@ class LateJoin:
 
 @attrs.frozen
 class Delay:
-    """Delay of a topic, of all timers (`"timers"`) or of all topics (`"messages"`) for this many blocks."""
+    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for this many blocks."""
 
     source: str
     blocks: int = 1
@@ -203,7 +203,7 @@ class SetParameter:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Change the parameter."""
+        """Change the parameter of the hosted nodes after the callbacks."""
         scheduled(rig).after(self.after, lambda: scheduled(rig).set_parameter(self.name, self.value))
 
 
@@ -216,7 +216,7 @@ class Send:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Send the message."""
+        """Send the message to the hosted nodes after the callbacks."""
         scheduled(rig).after(self.after, lambda: scheduled(rig).send_data(self.topic, self.data))
 
 
@@ -228,7 +228,7 @@ class Call:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Call the service."""
+        """Call the hosted nodes' service after the callbacks."""
         scheduled(rig).after(self.after, lambda: scheduled(rig).call(self.service))
 
 
@@ -363,8 +363,8 @@ def search(
     shortest scenario.
 
     Args:
-        make_rig: the fixture.
-        check: check of the pipeline.
+        make_rig: function that starts a rig with parameters: the fixture's value.
+        check: function that connects the pipeline and checks it, see `Check`.
         parameters: parameters of every rig.
         among: scenarios; None means `scenarios()`.
         examples: maximum number of scenarios played.
