@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Live laboratory: one page in the browser that shows a live or recorded rig and controls it.
+"""Live laboratory: a web page that shows motion and measurements of a live or recorded rig, and controls a live one.
 
     browser ◄─ WebSocket ─► server, sessions ─► source: live (gateway, subscriptions) or playback (run players)
 
-A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state. A session takes from them
-what its browser requests, never faster than the browser can draw it. No source waits for a browser.
+A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state of the rig. The session of
+each open page sends its browser what the page requests, never faster than the browser can draw it. No source waits for
+a browser.
 """

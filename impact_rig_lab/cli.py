@@ -32,14 +32,17 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 from impact_rig.system.extras import load
 
-SAMPLE = "lab_sample"
-FOUND = "?"
+SAMPLE = "lab_sample"  # name of the directory of the short run for --sample
+FOUND = "?"  # value of --attach without a namespace: search for a rig
 POLL_MS = 1000
-"""Interval between two checks for signals: a signal at the very start of a wait does not interrupt it."""
+"""Longest wait [ms] before pending signals such as Ctrl-C are handled.
+
+A signal at the very start of a wait does not interrupt it.
+"""
 
 
 def add_command(commands: Commands) -> None:
-    """Register `lab`."""
+    """Add the subcommand `lab` with its options and examples to the parser of `impact-rig`."""
     parser = subcommand(
         commands, "lab", "impact_rig_lab.cli:run", "see the rig move and turn its knobs, live, in a browser",
         [
@@ -50,44 +53,75 @@ def add_command(commands: Commands) -> None:
         ],
     )  # fmt: skip
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
-    parser.add_argument("runs", nargs="*", type=Path, metavar="RUN", help="play back this run; two: side by side")
     parser.add_argument(
-        "--attach", nargs="?", const=FOUND, metavar="NAMESPACE", help="show a rig that runs already, e.g. /rig"
+        "runs", nargs="*", type=Path, metavar="RUN",
+        help="recorded run to play back instead of starting a rig; two runs are shown side by side",
+    )  # fmt: skip
+    parser.add_argument(
+        "--attach", nargs="?", const=FOUND, metavar="NAMESPACE",
+        help="show a rig that another program runs, instead of starting one; NAMESPACE such as /rig, without it the "
+        "only rig that is found",
+    )  # fmt: skip
+    parser.add_argument(
+        "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"
     )
-    parser.add_argument("--namespace", default=NAMESPACE, help="namespace of the rig (default: %(default)s)")
-    parser.add_argument("--sample", action="store_true", help="play back a short run, recorded for this on first use")
-    parser.add_argument("--port", type=int, default=8765, help="port of the page; 0: any free one (default: 8765)")
-    parser.add_argument("--host", default="127.0.0.1", help="address to serve; other machines may then open the page")
+    parser.add_argument(
+        "--sample", action="store_true",
+        help="play back a short sample run; the first use simulates and stores it, without ROS 2",
+    )  # fmt: skip
+    parser.add_argument("--port", type=int, default=8765, help="TCP port of the page; 0: any free one (default: 8765)")
+    parser.add_argument(
+        "--host", default="127.0.0.1",
+        help="address of this machine at which the page is served; other machines can open the page if it is not the "
+        "default (default: 127.0.0.1)",
+    )  # fmt: skip
     add_recorded_rig(parser)
-    parser.add_argument("--no-browser", action="store_true", help="print the address only")
-    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--no-browser", action="store_true", help="print the address of the page without opening a browser"
+    )
+    parser.add_argument(
+        "--scan-rate", type=int, default=10_000, metavar="HZ",
+        help="scans per second of the rig that is started (default: 10000)",
+    )  # fmt: skip
     parser.add_argument(
         "--mode",
         choices=("realtime", "free_running"),
         default="realtime",
-        help="time mode of the rig (default: realtime)",
+        help="time mode of the rig that is started: as fast as real time, or as fast as possible (default: realtime)",
     )
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
-        help="folder with motions over frequency of `dynamics continue`, drawn where they exist",
+        help="output folders of `impact-rig dynamics continue` over frequency; their branches are drawn with the curve "
+        "of DT while the rig has the settings for which they were computed",
     )  # fmt: skip
-    parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
+    parser.add_argument(
+        "--no-record", action="store_true", help="do not record from the start; recording can be started on the page"
+    )
     parser.add_argument(
         "--output",
         type=Path,
         default=Path("runs"),
         metavar="DIR",
-        help="directory in which recordings are made (default: runs)",
+        help="directory in which each recording gets a folder of its own (default: runs)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C, or until the reader of the program's output has ended."""
+    """Run `impact-rig lab`: start or open what the page shows, and serve the page until Ctrl-C.
+
+    It also ends when the program that reads its standard output ends; then the exit code is that of SIGPIPE.
+
+    Args:
+        arguments: parsed options, see `add_command`.
+
+    Raises:
+        ImpactRigError: options contradict each other, a run cannot be read, or the rig or server cannot be started.
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
-        raise ImpactRigError("at most two runs can be shown side by side")
+        raise ImpactRigError(f"at most two runs can be shown side by side, got {len(arguments.runs)}")
     if (arguments.runs or arguments.sample) and arguments.attach:
-        raise ImpactRigError("a run to play back and --attach cannot be combined: choose one")
+        raise ImpactRigError("a run to play back (RUN or --sample) and --attach cannot be combined: choose one")
     load("impact_rig_lab.server", "lab", "lab")
     from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
     from impact_rig_lab.theory import continued  # noqa: PLC0415
@@ -118,7 +152,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _say_where(source: Any) -> None:
-    """Print the path of the last recording."""
+    """Print the directory of the last recording of a live source at the end of the program, if there is one.
+
+    Args:
+        source: source of the page, or None if the program has failed before.
+    """
     directory = getattr(source, "directory", None)
     if directory is not None:
         with contextlib.suppress(OSError):
@@ -145,7 +183,10 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
     namespace = f"/{arguments.namespace.strip('/')}"
     if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
-        raise ImpactRigError(f"a namespace must be letters, digits and _ between slashes, got {arguments.namespace!r}")
+        raise ImpactRigError(
+            "--namespace must consist of letters, digits and _ between slashes, no part beginning with a digit, got "
+            f"{arguments.namespace!r}"
+        )
     parameters = node_parameters(arguments)
     from_flat(RigConfig(), parameters["rig"])  # report values that the rig rejects here, where the user sees it
     if not arguments.no_record:
@@ -157,7 +198,11 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
 
 
 def _check_writable(directory: Path) -> None:
-    """Reject a directory that the recorder could not write to later."""
+    """Check before the start that the recorder can write to the directory `--output`, and create it if needed.
+
+    Raises:
+        ImpactRigError: it cannot be created or written to.
+    """
     with files.translate_errors(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
         files.make_folder(directory)
         if not os.access(directory, os.W_OK | os.X_OK):
@@ -165,7 +210,16 @@ def _check_writable(directory: Path) -> None:
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
-    """Reserve a namespace for the rig of this lab."""
+    """Reserve a ROS namespace for the rig that this lab is about to start, so that no other program uses it as well.
+
+    Args:
+        domain: ROS domain.
+        namespace: the namespace.
+        stack: exit stack that releases the reservation at the end of the program.
+
+    Raises:
+        ImpactRigError: another lab or rig on this machine uses the namespace; the message names its process.
+    """
     name = files.place(domain, namespace)
     advice = f"open its page with --attach {namespace}, or choose another --namespace"
     try:
@@ -176,19 +230,26 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if held is None:
         raise ImpactRigError(
-            f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} has {namespace}: {advice}"
+            f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} already uses the namespace {namespace}: "
+            f"{advice}"
         )
     stack.callback(os.close, held)
     rig = files.hold(files.PLACES, name)
     if rig is None and files.is_held_by_others(files.PLACES, name):
         return
     if rig is None:
-        raise ImpactRigError(f"the rig of process {files.holder(files.PLACES, name)} is in {namespace}: {advice}")
+        raise ImpactRigError(
+            f"the rig of process {files.holder(files.PLACES, name)} already uses the namespace {namespace}: {advice}"
+        )
     os.close(rig)  # released, so that the rig that is started now can take it
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the nodes that the lab starts."""
+    """Return the ROS parameters with which the lab starts its nodes, by node and name of the parameter.
+
+    Args:
+        arguments: parsed options of `impact-rig lab`.
+    """
     return {
         "rig": {
             "time.mode": arguments.mode,

@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node for a running rig: `ros2 run impact_rig lab_node` serves the page of the rig in the same namespace.
+"""Program `ros2 run impact_rig lab_node`: serve the page of the laboratory for a rig that runs in the same namespace.
 
-Imports are light: signal handlers and the watch on the parent process are set up before anything heavy is imported.
+Modules that take long to import are imported only after the signal handlers and the watch on the parent process are set
+up, so that the program can be ended at any time.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from impact_rig.system.endings import Ending
 
 WATCH_S = 0.2
 USE = (
-    "Page of the laboratory for a running rig in the same namespace; prints its address.",
+    "Web page of the laboratory for the rig in the same namespace; prints the address of the page.",
     "port:=8765",
     "`impact-rig lab` starts a rig as well.",
 )
 
 
 def main() -> None:
-    """Serve the page until the process is asked to end."""
+    """Run the program: serve the page until a signal, or the end of the parent process, ends it."""
     begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 
 
@@ -60,7 +61,7 @@ def _serve(ending: Ending) -> int:
 
 
 def _settings() -> tuple[int, str, str, int]:
-    """Return domain, namespace, and the parameters `host` and `port`, from the ROS arguments."""
+    """Return ROS domain, namespace, and the parameters `host` and `port` of the page, from the ROS arguments."""
     from rclpy.context import Context  # noqa: PLC0415
     from rclpy.node import Node  # noqa: PLC0415
 

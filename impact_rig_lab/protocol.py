@@ -11,20 +11,24 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Protocol of the WebSocket: validated requests of the page, and frames to the page.
+"""Protocol of the WebSocket between page and server: parsing of the page's requests, and frames for the page.
 
 A request is a JSON text: `{"id": 7, "do": "frequency", "value": 9.1}`; `REQUESTS` lists all requests. The server
-answers each with a frame REPLY that has its id, `ok` and a text, except `ack` and `view`.
+answers each with a frame REPLY that has the request's id, `ok` (whether it succeeded) and a text, except `ack` and
+`view`.
 
-A frame is binary, little-endian. It begins with kind u1, 3 bytes of padding, and number u4. The rest depends on kind:
+A frame is a binary message, little-endian. It begins with its kind (u1), 3 bytes of padding, and a number (u4). The
+rest depends on the kind; times are in seconds since scan 0:
 
-    STATE   JSON: the parts of the snapshot that have changed
-    REPLY   JSON: id, ok, text
-    TRACE, TRACE_B  begin, column, trigger, now f8 [s], channels u4, columns u4; low f4[channels][columns], high so too,
-            status u1[columns]
-    MOTION  rows u4, columns u4; rows f8: time, x_b, x_1, x_2, v_b, v_1, v_2
-    IMPACTS, DETECTED  as MOTION: time, wall, approach, separation, peak force; time, peak, sign
-    SPECTRUM  resolution f8 [Hz], count u4, channel u4; amplitudes f4
+    STATE     JSON: the parts of the snapshot that have changed
+    REPLY     JSON: id, ok, text
+    TRACE     picture of the scope: begin, length of a column, trigger, now (f8 each), channels u4, columns u4; minima
+              f4[channels][columns], maxima likewise, status u1[columns]
+    TRACE_B   the same for a second run
+    MOTION    true motion: rows u4, columns u4; each row f8: time, x_b, x_1, x_2, v_b, v_1, v_2
+    IMPACTS   true impacts, as MOTION: time, wall, approach speed, separation speed, peak force
+    DETECTED  impacts detected by the accelerometer, as MOTION: time, peak, sign
+    SPECTRUM  resolution f8 [Hz], count u4, channel u4; amplitudes f4[count]
 """
 
 from __future__ import annotations
@@ -45,19 +49,19 @@ from impact_rig.instruments.section import CHANNELS
 from impact_rig.system.files import plain
 from impact_rig_lab.scope import LONGEST_S, Trace
 
-LONGEST_REQUEST = 65536  # limit in bytes; a longer one is rejected and the connection is closed
-LONGEST_TEXT = 500
-MOST_COLUMNS = 4000
-MOST_FREQUENCIES = 200
-LARGEST_ID = 2**53
+LONGEST_REQUEST = 65536  # largest request in bytes; a longer one is rejected and the connection is closed
+LONGEST_TEXT = 500  # largest number of characters of a text that is published
+MOST_COLUMNS = 4000  # largest number of columns of a picture
+MOST_FREQUENCIES = 200  # largest number of frequencies of a sweep
+LARGEST_ID = 2**53  # largest id of a request: integers up to it are exact in JavaScript
 
 
 class RequestError(ImpactRigError, ValueError):
-    """Rejection of an invalid request; the message says why."""
+    """Rejection of an invalid request of a page; the message, which the page shows, says why."""
 
 
 class FrameKind(enum.IntEnum):
-    """Kinds of frames."""
+    """Kind of a frame: the first byte, which tells the page how to read the rest; see the module's description."""
 
     STATE = 1
     REPLY = 2
@@ -71,19 +75,20 @@ class FrameKind(enum.IntEnum):
 
 @attrs.frozen
 class Request:
-    """Request of a page."""
+    """Parsed and checked request of a page."""
 
-    id: int
-    do: str
-    values: Mapping[str, Any]
+    id: int  # number that the page has given it, for the reply
+    do: str  # name of the request, a key of `REQUESTS`
+    values: Mapping[str, Any]  # its values by name
     rig: str | None = None  # instance of the rig that the page showed; None if the page did not name one
 
 
 Check = Callable[[str, object], Any]
+"""Function that checks a value of a request, given its name, and returns it, or raises `RequestError`."""
 
 
 def number(low: float = -math.inf, high: float = math.inf) -> Check:
-    """Return a check for a finite number in a closed range."""
+    """Return a function that checks that a value of a request is a finite number in [low, high], and returns it."""
 
     def check(name: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -100,14 +105,18 @@ def number(low: float = -math.inf, high: float = math.inf) -> Check:
 
 
 def flag(name: str, value: object) -> bool:
-    """Check a value that must be true or false."""
+    """Check that the value `name` of a request is true or false, and return it.
+
+    Raises:
+        RequestError: it is anything else.
+    """
     if not isinstance(value, bool):
         raise RequestError(f"{name} must be true or false, got {_short(value)}")
     return value
 
 
 def word(*known: str) -> Check:
-    """Return a check for one of several words."""
+    """Return a function that checks that a value of a request is one of some words, and returns it."""
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:
@@ -118,21 +127,33 @@ def word(*known: str) -> Check:
 
 
 def text(name: str, value: object) -> str:
-    """Check a text that will be published: it must have no control characters, and not be too long."""
+    """Check a text in a request that will be published on a topic, and return it.
+
+    Raises:
+        RequestError: it is not a text, is longer than `LONGEST_TEXT`, or contains control characters.
+    """
     if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
     return value
 
 
 def document(name: str, value: object) -> str:
-    """Check the content of a file."""
+    """Check that the value `name` of a request is a text of any content, such as that of a file, and return it.
+
+    Raises:
+        RequestError: it is not a text.
+    """
     if not isinstance(value, str):
         raise RequestError(f"{name} must be a text, got {_short(value)}")
     return value
 
 
 def frequencies(name: str, value: object) -> tuple[float, ...]:
-    """Check a list of frequencies."""
+    """Check a list of frequencies in a request, and return them.
+
+    Raises:
+        RequestError: it is not a list of 1 to `MOST_FREQUENCIES` numbers within 0.001 and 10000 Hz.
+    """
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
         raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers, got {_short(value)}")
     return tuple(number(1e-3, 1e4)(name, one) for one in value)
@@ -184,26 +205,32 @@ REQUESTS: Mapping[str, Mapping[str, Check]] = {
     "next_impact": {"value": number(-1, 1)},
     "align": {"value": number(-1e9, 1e9), "by": word("start", "time", "change")},
 }
-"""Names of requests, with the required values and their checks. `rig` is optional in all of them."""
+"""Known requests by name, each with the names of its values, all required, and their checks.
+
+Each request may also contain `rig`, the instance of the rig that the page showed.
+"""
 
 
 def parse(raw: str | bytes) -> Request:
-    """Parse a request.
+    """Parse and check a message from a page as a request.
+
+    Args:
+        raw: the message, a JSON object.
 
     Raises:
-        RequestError: the request is too long, not a JSON object, or unknown, or a value is invalid.
+        RequestError: it is too long, not a JSON object, or an unknown request, or a value is missing or invalid.
     """
     if len(raw) > LONGEST_REQUEST:
         raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {len(raw)}")
     try:
         found = json.loads(raw)
     except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or nested too deeply
-        raise RequestError(f"a request must be JSON, it cannot be parsed ({type(error).__name__})") from error
+        raise RequestError(f"a request must be JSON; this one cannot be parsed ({type(error).__name__})") from error
     if not isinstance(found, dict):
         raise RequestError(f"a request must be a JSON object, got {_short(found)}")
     do = found.pop("do", None)
     if not isinstance(do, str) or do not in REQUESTS:
-        raise RequestError(f"there is no request {_short(do)}")
+        raise RequestError(f"there is no request {_short(do)}; do must be one of {', '.join(REQUESTS)}")
     identity = number(0, LARGEST_ID)("id", found.pop("id", 0))
     if identity != int(identity):
         raise RequestError(f"id must be a whole number, got {identity:g}")
@@ -212,7 +239,9 @@ def parse(raw: str | bytes) -> Request:
         rig = text("rig", rig)
     checks = REQUESTS[do]
     if found.keys() != checks.keys():
-        raise RequestError(f"{do} takes {', '.join(checks) or 'nothing'}, got {_short(sorted(found))}")
+        raise RequestError(
+            f"the request {do} takes the values {', '.join(checks) or '(none)'}, got {_short(sorted(found))}"
+        )
     values = {name: check(do if name == "value" else name, found[name]) for name, check in checks.items()}
     return Request(int(identity), do, values, rig)
 
@@ -226,23 +255,49 @@ _SPECTRUM = struct.Struct("<dII")
 
 
 def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> bytes:
-    """Return a frame STATE or REPLY."""
+    """Return a frame with JSON content.
+
+    Args:
+        kind: STATE or REPLY.
+        number: number of the frame, modulo 2³².
+        content: what the page receives.
+    """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
 
 
 def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> bytes:
-    """Return a frame TRACE, or TRACE_B of a second run."""
+    """Return a frame with a picture of the scope.
+
+    Args:
+        kind: TRACE, or TRACE_B for a second run.
+        number: number of the frame, which the page acknowledges when it has drawn a TRACE.
+        trace: the picture.
+        now_s: time that the page shows [s since scan 0].
+    """
     head = _TRACE.pack(trace.begin_s, trace.column_s, trace.trigger_s, now_s, *trace.low.shape)
     parts = (trace.low.tobytes(), trace.high.tobytes(), trace.status.tobytes())
     return b"".join((_HEAD.pack(kind, number & 0xFFFFFFFF), head, *parts))
 
 
 def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes:
-    """Return a frame MOTION, IMPACTS or DETECTED."""
+    """Return a frame with rows of numbers, the first of which is the time.
+
+    Args:
+        kind: MOTION, IMPACTS or DETECTED.
+        number: epoch of the record: rows of another epoch belong to another record.
+        rows: rows, shape (number of rows, number of columns).
+    """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()
 
 
 def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.float32], channel: int) -> bytes:
-    """Return a frame SPECTRUM."""
+    """Return a frame with the amplitude spectrum of a channel.
+
+    Args:
+        number: epoch of the record, as for `rows_frame`.
+        resolution_hz: distance of two lines.
+        amplitudes: peak amplitudes of the lines from 0 Hz on.
+        channel: index of the channel in `CHANNELS`.
+    """
     head = _SPECTRUM.pack(resolution_hz, len(amplitudes), channel)
     return _HEAD.pack(FrameKind.SPECTRUM, number & 0xFFFFFFFF) + head + amplitudes.astype("<f4").tobytes()

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""State of one rig, live or recorded: its messages as ring buffers for pictures, and as lines and rows for the page.
+"""State of one rig, live or recorded, from its messages (`RigView`), in the forms in which the page shows it.
 
-An invalid message has no other effect than to be counted under its topic. Times are seconds since scan 0; earlier times
-are negative.
+Scans and motion are kept in ring buffers for pictures, journal and faults as lines of text, measurements as rows. An
+invalid message is counted under its topic and has no other effect. Times for the page are seconds since scan 0 of the
+rig; earlier times are negative. Names that end in _ns are stamps in rig time.
 """
 
 from __future__ import annotations
@@ -42,38 +43,47 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.states import MEASURED, Status
 from impact_rig_lab.scope import Scope
 
-BODIES = 3
-MOST_ROWS = 400
-MOST_ENTRIES = 300
-MOST_APPLIED = 100
+BODIES = 3  # number of bodies in a joint state: inferior base, superior base, sphere
+MOST_ROWS = 400  # largest number of measurements kept of a live rig
+MOST_ENTRIES = 300  # largest number of journal lines and of fault events kept of a live rig
+MOST_APPLIED = 100  # largest number of changes of rig and of drive kept of a live rig
 T = TypeVar("T")
 ABOUT = {
     Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
 }  # fmt: skip
-"""Statuses of valid rows that concern a channel; otherwise the column `channel` names the largest contribution to u."""
+"""Channels that statuses of measured rows concern.
+
+In such rows the column `channel` means something else: the channel that contributes most to the uncertainty.
+"""
 NO_CHANGE = (
     InputKind.FAULT,
     InputKind.CLEAR_FAULT,
     InputKind.STREAM,
 )  # a measurement continues; `truth/faults` reports faults
-LAST_NS = 2**63
+LAST_NS = 2**63  # stamp later than all others
 SAME_M = 1e-9  # gaps that differ by less than this count as equal [m]
-HIGHEST_RATE_HZ = 1e7
-LONGEST_RUN_S = 1e9
-STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")
+HIGHEST_RATE_HZ = 1e7  # highest scan rate that is accepted
+LONGEST_RUN_S = 1e9  # longest rig time that is accepted
+STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate")  # columns of `shaker/stream` kept
 UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
+"""Units of the values of journal entries, by name of the entry."""
 SHOWN_UNITS = {"m": ("mm", 1e-3), "-": ("", 1.0)}
-"""Units that the page shows differently, with their size in the unit of the rig."""
+"""Units of the rig that the page shows as another unit: that unit, and its size in the unit of the rig."""
 
 
 def text(raw: Any) -> str:
-    """Return the text in a column."""
+    """Decode a value of a text column of a table, which is padded with zero bytes."""
     return bytes(raw).rstrip(b"\0").decode("utf-8", errors="replace")
 
 
 def fault_unit(kind: str, channel: str) -> str:
-    """Return the unit of the size of a fault; empty if it has none."""
+    """Return the SI unit of the size of an instrument fault; empty if this kind has no size, or one without a unit.
+
+    Args:
+        kind: kind of fault, a key of `FAULT_KINDS`.
+        channel: channel that it affects.
+    """
     if kind == "clock_drift":
         return "ppm"
     has_unit = "[unit" in FAULT_KINDS.get(kind, "") and channel in INSTRUMENTS
@@ -81,41 +91,56 @@ def fault_unit(kind: str, channel: str) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Format a value of the rig for the page, lengths in mm."""
+    """Return a value of the rig as text for the page, with its unit; lengths are shown in mm.
+
+    Args:
+        value: the value in `unit`.
+        unit: unit of the rig.
+    """
     shown, size = SHOWN_UNITS.get(unit, (unit, 1.0))
     return f"{value / size:.6g} {shown}".strip()
 
 
 def plain(word: str) -> str:
-    """Return a key in readable form."""
+    """Return a key of the rig, such as "no_impacts", as text for the page, with spaces instead of underscores."""
     return word.replace("_", " ")
 
 
 class Rows:
-    """Ring buffer of rows of numbers, the first of which is the time [s]; a reader gets the rows that are new to it."""
+    """Ring buffer of rows of numbers, from which each reader can get the rows that are new to it.
+
+    The first number of a row is the time [s since scan 0].
+
+    Args:
+        size: number of rows kept.
+        columns: number of numbers in a row.
+    """
 
     def __init__(self, size: int, columns: int) -> None:
         self._rows = np.zeros((size, columns))
         self.count = 0  # number of rows ever added
 
     def add(self, row: tuple[float, ...]) -> None:
-        """Append one row."""
+        """Append a row; if the buffer is full, the oldest row is lost."""
         self._rows[self.count % len(self._rows)] = row
         self.count += 1
 
     def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
-        """Return the rows from a number on, but only the newest ones if more are requested than kept; shape (n, …)."""
+        """Return the rows added after the first `number` rows, shape (n, columns).
+
+        If they are more than `most`, or than are kept, only the newest ones are returned.
+        """
         first = max(number, self.count - min(len(self._rows), most), 0)
         return self._rows[np.arange(first, self.count) % len(self._rows)]
 
 
 class MotionBuffer:
-    """True motion of the last seconds.
+    """Motion of the last seconds in SI units: the simulated states and impacts, and impacts detected by the sensor.
 
     Attributes:
-        states: time, x_b, x_1, x_2, v_b, v_1, v_2.
-        impacts: time, wall, approach speed, separation speed, peak force.
-        detected: time, peak, sign.
+        states: rows of time, x_b, x_1, x_2, v_b, v_1, v_2 (inferior base, superior base, sphere).
+        impacts: rows of time, wall, approach speed, separation speed, peak force of the true impacts.
+        detected: rows of time, peak, sign of the impacts detected by the accelerometer.
     """
 
     def __init__(self) -> None:
@@ -124,18 +149,30 @@ class MotionBuffer:
         self.detected = Rows(4096, 3)
 
     def add_state(self, data: bytes, start_ns: int) -> None:
-        """Add a message of `truth/joint_states`.
+        """Add a true state of the rig from a message of `truth/joint_states`.
+
+        Args:
+            data: the serialised message.
+            start_ns: stamp of scan 0.
 
         Raises:
             CodecError: the message is invalid, or has another number of bodies.
         """
         stamp, (positions, velocities, _efforts) = codec.joint_state(data)
         if not len(positions) == len(velocities) == BODIES:
-            raise CodecError(f"a joint state of this rig has {BODIES} bodies, got {len(positions)}")
+            raise CodecError(
+                f"a joint state of this rig must have {BODIES} positions and velocities, got {len(positions)} and "
+                f"{len(velocities)}"
+            )
         self.states.add(((stamp - start_ns) / NS_PER_S, *positions, *velocities))
 
     def add_rows(self, table: Table, start_ns: int) -> None:
-        """Add a table of `truth/impacts`, or of `impacts`."""
+        """Add true impacts from a table of `truth/impacts`, or detected ones from a table of `impacts`.
+
+        Args:
+            table: the table.
+            start_ns: stamp of scan 0.
+        """
         true = ("wall", "approach_speed", "separation_speed", "peak_force")
         is_true = "wall" in (table.rows.dtype.names or ())
         ring, names = (self.impacts, true) if is_true else (self.detected, ("peak", "sign"))
@@ -145,10 +182,10 @@ class MotionBuffer:
 
 
 class RigHistory:
-    """Journal, faults and remarks as readable lines, and the state of the rig at any time according to the journal.
+    """History of a rig: journal, faults and remarks as lines of text for the page, and its state at any past time.
 
     Args:
-        most: number of changes kept; None means all, and all lines.
+        most: number of journal entries kept for past states; None means all, and also all lines.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -158,7 +195,7 @@ class RigHistory:
         self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, entry: JournalEntry) -> None:
-        """Add an entry of `rig/journal`."""
+        """Add an entry of `rig/journal` to the history, as a change of the state and as a line."""
         self._view.follow(entry)
         self._changes.append(entry)
         if entry.kind is InputKind.PARAMETER:
@@ -174,15 +211,20 @@ class RigHistory:
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        """Return the active parameters by name."""
+        """Return the parameters of the rig that are active according to the newest entry, by name."""
         return self._view.configuration
 
     def remark(self, words: str, stamp_ns: int) -> None:
-        """Add an operator's remark."""
+        """Add a remark of an operator as a line; its first 200 characters are kept.
+
+        Args:
+            words: the remark.
+            stamp_ns: rig time of the remark.
+        """
         self._add(stamp_ns, "note", "", words[:200])
 
     def fault(self, table: Table) -> None:
-        """Add a table of `truth/faults`."""
+        """Add the beginnings and ends of instrument faults in a table of `truth/faults` as lines."""
         for row in table.rows:
             what = f"{text(row['kind'])} {text(row['channel'])}".strip()
             self._add(table.stamp_ns, "fault", "begins" if row["active"] else "ends", what)
@@ -192,14 +234,23 @@ class RigHistory:
         self._lines.append([*line])
 
     def part(self, start_ns: int) -> list[list[Any]]:
-        """Return time, kind, key and text of every line, in order; the same list as before if nothing is new."""
+        """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
+
+        If nothing is new, the result is the same object as before.
+
+        Args:
+            start_ns: stamp of scan 0.
+        """
         if self._part is None or self._part[0] != start_ns:
             found = sorted(self._lines, key=lambda line: line[0])
             self._part = start_ns, [[round((stamp - start_ns) / NS_PER_S, 3), *words] for stamp, *words in found]
         return self._part[1]
 
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
-        """Return the state of the rig at a time, and the last change before it."""
+        """Return the state of the rig at a rig time, and the last journal entry before that restarts a measurement.
+
+        Faults and samples of a stream are no such entries. The entry is None if there is none.
+        """
         view, newest = JournalView(), None
         for change in list(self._changes):
             if change.stamp_ns <= instant_ns:
@@ -216,17 +267,17 @@ def _value(entry: JournalEntry) -> str:
 
 
 class Faults:
-    """Instrument faults from `truth/faults`, and those active now or at a given time.
+    """History of the simulated instrument faults, to find those that are active now or were at a past time.
 
     Args:
-        most: number of starts and ends kept; None means all.
+        most: number of beginnings and ends kept; None means all.
     """
 
     def __init__(self, most: int | None = MOST_ENTRIES) -> None:
         self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=most)
 
     def add(self, table: Table) -> None:
-        """Add a table of `truth/faults`."""
+        """Add the beginnings and ends of instrument faults in a table of `truth/faults`."""
         for row in table.rows:
             kind, channel = text(row["kind"]), text(row["channel"])
             size = (
@@ -239,17 +290,17 @@ class Faults:
             self._rows.append((stamp, int(row["id"]), bool(row["active"]), what))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:
-        """Return the faults that are active at a time (None: after all messages received so far), as text.
+        """Return the faults that are active at a rig time, each as text such as "gain error laser (0.02)".
 
         Args:
-            start_ns: stamp of scan 0 [ns]; earlier faults belong to another record.
-            at_ns: the time [ns].
+            start_ns: stamp of scan 0; faults that began earlier belong to another rig.
+            at_ns: the rig time; None means after all messages received so far.
         """
         now_ns = LAST_NS if at_ns is None else at_ns
         return self.acting(start_ns, now_ns, now_ns)
 
     def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
-        """Return the faults that were active at any time within a stretch, as text."""
+        """Return the faults that were active at any time from `begin_ns` to `end_ns`, as `in_force` does."""
         found: dict[int, str] = {}
         for stamp, number, begins, words in self._rows:
             if begins and start_ns <= stamp <= end_ns:
@@ -261,17 +312,17 @@ class Faults:
 
 @attrs.frozen
 class Judged:
-    """Row of `transmissibility/table`: first and last scan [ns], status, the channel it concerns, its label."""
+    """Judgement of the analysis on some consecutive scans: a row of `transmissibility/table` without its numbers."""
 
-    begin_ns: int
-    end_ns: int
-    status: str
-    channel: str
-    gap_m: float  # operator's label; NaN without one
+    begin_ns: int  # rig time of its first scan
+    end_ns: int  # rig time of its last scan
+    status: str  # status of the measurement
+    channel: str  # channel that the status concerns; empty if none
+    gap_m: float  # gap according to the operator's label of the analysis; NaN without a label
 
 
 class Curve:
-    """Measurements of the transmissibility.
+    """Measurements of the transmissibility by the analysis, as rows for the page's curve and table.
 
     Args:
         most: number of rows kept; None means all.
@@ -280,11 +331,11 @@ class Curve:
     def __init__(self, most: int | None = MOST_ROWS) -> None:
         self._rows: deque[tuple[int, dict[str, Any]]] = deque(maxlen=most)
         self.judged: deque[Judged] = deque(maxlen=most)
-        """All rows, including those without numbers."""
+        """Statuses of all rows in order, including rows without a measured value."""
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Add a table of `transmissibility/table`."""
+        """Add the rows of a table of `transmissibility/table`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -299,14 +350,17 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest row now, or at a time."""
+        """Return the newest status of the analysis, now or at a past rig time; None if there is none."""
         rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
         return rows[-1] if rows else None
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the problems of channels according to the newest row now, or at a time, as text.
+        """Return the problem of a sensor's channel according to the newest row of the analysis, as text by channel.
 
-        None if there is no row, or if the row judges no channel; empty if it finds no problem.
+        It is empty if the row finds no problem, and None if there is no row, or its status says nothing on channels.
+
+        Args:
+            at_ns: rig time; None means now.
         """
         row = self.newest(at_ns)
         if row is None or not (row.channel or row.status in MEASURED):
@@ -314,7 +368,14 @@ class Curve:
         return {row.channel: plain(row.status)} if row.channel else {}
 
     def part(self, start_ns: int) -> list[dict[str, Any]]:
-        """Return the rows, oldest first; if nothing is new, return the same list as before."""
+        """Return the rows with a measured value for the page, oldest first, with short keys such as "f" and "dt".
+
+        "t" is the time in s since scan 0, the phase is in degrees, all else in SI units. If nothing is new, the result
+        is the same object as before.
+
+        Args:
+            start_ns: stamp of scan 0.
+        """
         if self._part is None or self._part[0] != start_ns:
             found = [{"t": round((stamp - start_ns) / NS_PER_S, 3), **row} for stamp, row in self._rows]
             self._part = start_ns, found
@@ -334,52 +395,62 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
 
 
 class RigView:
-    """State of one rig: all its messages, from the graph or from a file, pass through `take`.
+    """State of one rig as its messages show it; all of them, from the graph or from a file, are passed to `take`.
 
     Args:
-        most: number of changes of rig and drive that are kept. None means all, with every row and fault, so that the
-            state at any time can be shown.
+        most: number of changes of rig and drive that are kept. None means all, and also all measurements and faults,
+            so that the state at any time can be shown.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
         self.scope: Scope | None = None
-        """Newest scans; None until the calibration has given the scan rate."""
+        """Newest scans; None until the calibration (`daq/info`) has stated the scan rate."""
         self.motion = MotionBuffer()
         self.journal = RigHistory(most)
         self.faults = Faults(None if most is None else MOST_ENTRIES)
         self.curve = Curve(None if most is None else MOST_ROWS)
-        self.epoch = 0  # number of resets and jumps: earlier pictures belong to another record
-        self.start_ns = self.newest_ns = 0
+        self.epoch = 0  # number of restarts of the pictures; those of an earlier epoch belong to another record
+        self.start_ns = self.newest_ns = 0  # stamps of scan 0 and of the newest block of scans
         self.told_start_ns = 0
-        """Stamp of scan 0 by the rig's diagnostics.
+        """Stamp of scan 0 according to the rig's diagnostics.
 
         If it is later than `start_ns`, the `daq/info` of a new rig has not arrived, and all known data belong to the
-        previous one.
+        previous rig.
         """
         self.configuration = ""  # active configuration, as a ROS 2 parameter file
-        self.knobs: dict[str, Any] = {}  # the same by name
+        self.knobs: dict[str, Any] = {}  # parameters of the active configuration, by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
-        """Newest changes of the drive, with their times."""
-        self.changes = 0  # number of changes of the drive
-        self.changed_at_s = 0.0  # time at which the newest change was received, by our clock [s]
+        """Newest changes of the drive: rig time [ns], frequency [Hz] and current [A]."""
+        self.changes = 0  # number of changes of the drive received so far
+        self.changed_at_s = 0.0  # time at which the newest change was received (`time.monotonic`)
         self.begun_at_s = 0.0
-        """Time before which messages belong to another rig.
+        """Time (`time.monotonic`) before which received changes of the drive belong to another rig.
 
-        A rig that runs faster than real time stamps ahead of its successor.
+        Stamps cannot decide this: a rig that runs faster than real time has later stamps than its successor.
         """
-        self.refused: dict[str, list[Any]] = {}  # invalid messages by topic: their number, and the last reason
+        self.refused: dict[str, list[Any]] = {}  # invalid messages, by topic: their number, and the last reason
         self.stream: dict[str, float] | None = None
-        """Newest `shaker/stream`; None if the drive is not a stream."""
-        self.lock = threading.Lock()  # held while ring buffers are written or read
+        """Newest values of `shaker/stream` by column; None if the drive is not a stream."""
+        self.lock = threading.Lock()  # to be held while ring buffers are written or read
 
     def since_ns(self, at_ns: int | None = None) -> int:
-        """Return the stamp of scan 0 of the present rig, or of that at a time [ns]: older data are of another rig."""
+        """Return the stamp of scan 0 of the present rig, or of the rig that ran at a past rig time.
+
+        Data with earlier stamps belong to another rig.
+        """
         if at_ns is None:
             return max(self.start_ns, self.told_start_ns)
         return max(self.start_ns, self.journal.at(at_ns)[0].start_ns or 0)
 
     def doubts(self, at_ns: int | None = None) -> list[str]:
-        """Return the doubts about the newest measurement, now or at a time, as text."""
+        """Return reasons why the newest measurement may not describe the present rig, as text; empty if there are none.
+
+        They are active faults, problems of channels, a change since it began, and a label with another gap than the
+        rig's.
+
+        Args:
+            at_ns: rig time for which to judge; None means now.
+        """
         since_ns, row = self.since_ns(at_ns), self.curve.newest(at_ns)
         faults = self.faults.in_force(since_ns, at_ns)
         found = [f"{fault} is active (truth)" for fault in faults]
@@ -398,10 +469,13 @@ class RigView:
         return found
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the result of `Curve.health` for the present drive, or for the drive at a time.
+        """Return the problems of the sensors' channels, as `Curve.health`, but only if they apply to the present drive.
 
-        Also None at rest, where no measurement is made (a pluck looks like spikes and a silent base), and until the
-        first row after a change of the drive.
+        Otherwise the result is None: at rest, where no measurement is made (a pluck looks like spikes and a silent
+        base), and until the first row after a change of the drive.
+
+        Args:
+            at_ns: rig time; None means now.
         """
         change, row = self._change(at_ns), self.curve.newest(at_ns)
         if change is None or change[1]["current"] == 0.0 or row is None or row.end_ns <= change[0]:
@@ -409,7 +483,13 @@ class RigView:
         return self.curve.health(at_ns)
 
     def take(self, topic: topics.Topic, data: bytes, at_ns: int | None = None) -> None:
-        """Process a message received at `at_ns` (None: now); count it if that fails."""
+        """Process a message of the rig; an invalid one is only counted in `refused`.
+
+        Args:
+            topic: its topic.
+            data: the serialised message.
+            at_ns: rig time at which it was received, for a remark without a stamp; None means that of the newest scans.
+        """
         guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
 
     def _take(self, topic: topics.Topic, data: bytes, at_ns: int | None) -> None:
@@ -459,12 +539,15 @@ class RigView:
                 self.forget_motion()
 
     def forget_motion(self) -> None:
-        """Restart the pictures of the motion."""
+        """Forget the motion kept so far and begin a new epoch, so that pages drop what they have drawn."""
         self.motion = MotionBuffer()
         self.epoch += 1
 
     def stream_part(self) -> dict[str, float] | None:
-        """Return the level of the stream's buffer [s], and its errors; None if the drive is not a stream."""
+        """Return the state of the stream that drives the rig for the page; None if the drive is not a stream.
+
+        Level and capacity of its buffer, missing and late samples are in seconds; `refused` is a number of blocks.
+        """
         if self.stream is None:
             return None
         found = {name: self.stream[name] / self.stream["rate"] for name in ("buffered", "capacity", "missing", "late")}
@@ -472,12 +555,15 @@ class RigView:
 
     @property
     def drive(self) -> dict[str, float] | None:
-        """Active frequency [Hz] and current [A]; None if the present rig has not published them."""
+        """Active drive frequency [Hz] and peak current [A] of the present rig; None if they are not published yet."""
         change = self._change()
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return time and value of the last change of the drive before a time (None: the newest of the present rig)."""
+        """Return rig time and values of the newest change of the drive, or of the last one before a past rig time.
+
+        Returns None if there is none; without a time, a change of a previous rig does not count.
+        """
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
         newest = self.applied[-1] if self.applied else None
@@ -486,7 +572,16 @@ class RigView:
 
 
 def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T | None:
-    """Process external data; if that fails, count the failure and return None, so that everything else continues."""
+    """Call a function that processes external data; if it fails, count the failure, so that everything else continues.
+
+    Args:
+        refused: failures so far by key: their number, and the reason of the last one.
+        what: key under which a failure is counted.
+        work: the function.
+
+    Returns:
+        The result of the function, or None if it has failed.
+    """
     try:
         return work()
     except Exception as error:
@@ -497,15 +592,22 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T 
 
 
 def came_before(changed_ns: int, row: Judged) -> bool:
-    """Return whether a change preceded the start of a row, within the grid of commands."""
+    """Return whether a change of the rig took place before the scans of a measurement began, so that it applies.
+
+    A change up to one interval of the command grid later counts as before.
+
+    Args:
+        changed_ns: rig time of the change.
+        row: the measurement.
+    """
     return changed_ns < row.end_ns and changed_ns <= row.begin_ns + COMMAND_GRID_NS
 
 
 def start_ns(info: Table) -> int:
-    """Return the stamp of scan 0 from a table of `daq/info`.
+    """Return the stamp of scan 0 of a rig, from which all times are counted, according to a table of `daq/info`.
 
     Raises:
-        RecordingError: the table does not state this time.
+        RecordingError: the table states an invalid time, or has no rows.
     """
     since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
     if not 0.0 <= since_s < LONGEST_RUN_S:
@@ -514,10 +616,10 @@ def start_ns(info: Table) -> int:
 
 
 def scan_rate(info: Table) -> float:
-    """Return the scans per second from a table of `daq/info`.
+    """Return the scans per second of a rig according to a table of `daq/info`.
 
     Raises:
-        RecordingError: no board has this rate; it would determine the length of the ring buffers.
+        RecordingError: the rate is not possible, or too high for the memory of the ring buffers.
     """
     rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:

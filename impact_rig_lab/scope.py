@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Data of the scope: the newest scans in a ring buffer, and any window as minimum and maximum per picture column.
+"""Data of the scope (the oscilloscope on the page): the newest scans, and pictures of any window of them.
 
-Every scan is in the pair of exactly one column, so a pulse of one scan is visible at any zoom.
+A picture has the minimum and maximum of the scans in each of its columns. Every scan belongs to exactly one column, so
+that a pulse of a single scan is visible at any zoom.
 """
 
 from __future__ import annotations
@@ -32,33 +33,41 @@ from impact_rig.errors import CodecError
 from impact_rig.instruments.section import CHANNELS, channels_of
 from impact_rig.simtime import NS_PER_S
 
-LONGEST_S = 10.0  # longest window that can be drawn
+LONGEST_S = 10.0  # longest window that can be drawn [s]
 HELD_S = 12.0  # duration of the scans kept: the longest window, and a margin in which to find a trigger [s]
-COARSE_S = 0.002
+COARSE_S = 0.002  # length of the coarse pairs [s]
 FINER = 10
-"""Pairs over this duration [s], and over a tenth of it, are kept as well, so that no window needs every scan."""
-MOST_SCANS = 4_000_000
+"""Length of the coarse pairs over that of the fine ones.
+
+Minimum and maximum of groups of scans of both lengths are kept as well, so that a long window need not read every scan.
+"""
+MOST_SCANS = 4_000_000  # largest number of scans kept
 CURRENT = CHANNELS.index("current")
 
 
 @attrs.frozen(eq=False)
 class Trace:
-    """Window of the scope."""
+    """Picture of a window of the scope: minimum and maximum of the scans in each of n columns."""
 
-    begin_s: float  # start time of the first column [s]
+    begin_s: float  # start time of the first column [s since scan 0]
     column_s: float  # length of a column [s]
     low: NDArray[np.float32]
     """Minima per channel and column, NaN in a column without a scan, shape (4, n).
 
-        If a stream drives the rig, the commanded current is added, shape (5, n).
+    If a stream drives the rig, the commanded current is added as a fifth row, shape (5, n).
     """
     high: NDArray[np.float32]  # maxima, of the same shape
-    status: NDArray[np.uint8]  # bits of all scans of a column, shape (n,)
-    trigger_s: float  # time to which the window is aligned; NaN if there is none
+    status: NDArray[np.uint8]  # for each column, the over-range bits of its scans; bit i: `CHANNELS[i]`; shape (n,)
+    trigger_s: float  # time of the trigger, with which the window begins [s since scan 0]; NaN if there is none
 
 
 class ScopeLevel:
-    """Ring buffer of pairs that cover several scans each; with one scan each, it is the ring of scans itself."""
+    """Ring buffer of pairs: minimum and maximum of each channel over groups of equally many consecutive scans.
+
+    Args:
+        fine: number of scans per pair; with 1, it is the ring buffer of the scans themselves.
+        size: number of pairs.
+    """
 
     def __init__(self, fine: int, size: int) -> None:
         self.fine, self.size = fine, size
@@ -68,26 +77,31 @@ class ScopeLevel:
         self.end = 0  # number of the pair after the last complete one
 
     def widen(self) -> None:
-        """Add space for one more row of data."""
+        """Add space for one more channel, which is NaN so far: the commanded current."""
         same = self.high is self.low
         self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return the positions of pairs in the ring: one stretch, or two around its end."""
+        """Return the positions in the ring of the pairs numbered begin to end − 1: one slice, or two around its end."""
         if end <= begin:
             return []
         first, last = begin % self.size, (end - 1) % self.size + 1
         return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
 
     def blank(self, begin: int, end: int) -> None:
-        """Erase some pairs of the ring."""
+        """Set the pairs with numbers begin to end − 1 to NaN, and their status bits to 0."""
         for place in self.places(begin, end):
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
 
     def gather(self, below: ScopeLevel, end: int) -> None:
-        """Compute the newly completed pairs from those of the level below."""
+        """Compute the pairs of this level that have become complete since the last call.
+
+        Args:
+            below: level with smaller groups of scans, from which they are computed.
+            end: number of the scan after the newest one.
+        """
         ratio, whole = self.fine // below.fine, end // self.fine
         for place in self.places(max(self.end, whole - self.size), whole):
             source = slice(place.start * ratio, place.stop * ratio)
@@ -98,7 +112,11 @@ class ScopeLevel:
 
 
 class Scope:
-    """Ring buffer of consecutive scans; missing scans are NaN."""
+    """Ring buffer of the newest scans of a rig, from which pictures and spectra are computed; missing scans are NaN.
+
+    Args:
+        rate_hz: scans per second.
+    """
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
@@ -113,18 +131,28 @@ class Scope:
 
     @property
     def end_s(self) -> float:
-        """Return the end of the newest scan [s since scan 0]."""
+        """Return the time of the end of the newest scan [s since scan 0]."""
         return self.end / self.rate_hz
 
     def clear(self) -> None:
-        """Erase everything."""
+        """Forget all scans, so that there is no picture until new scans are added."""
         self.begin = self.end = 0
 
     def add(self, table: Table, start_ns: int) -> None:
-        """Add a block of `daq/scan`."""
+        """Add a block of scans.
+
+        If it is far from the scans kept, or earlier, they are forgotten.
+
+        Args:
+            table: table of `daq/scan`.
+            start_ns: stamp of scan 0.
+
+        Raises:
+            CodecError: a channel is not numeric.
+        """
         rows = table.rows[-self._size :]
         if any(rows.dtype[name].kind not in "fiu" for name in channels_of(rows)):
-            raise CodecError("daq/scan has a channel that is not numeric")
+            raise CodecError("daq/scan has a channel that is not numeric, so that its block cannot be drawn")
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return
@@ -140,7 +168,13 @@ class Scope:
         self.begin = max(self.begin, self.end - self._size)
 
     def command(self, table: Table, rate_hz: float, start_ns: int) -> None:
-        """Add a block of `shaker/waveform` with its sample rate: the samples are drawn with the scans they act on."""
+        """Add commanded samples of a stream, which are drawn together with the scans at the same times.
+
+        Args:
+            table: table of `shaker/waveform`.
+            rate_hz: samples per second.
+            start_ns: stamp of scan 0.
+        """
         if self._commanded is None:
             self._commanded = np.full(self._size, np.nan, np.float32)
             for level in self._levels:
@@ -168,12 +202,13 @@ class Scope:
             done += len(part)
 
     def window(self, span_s: float, columns: int, *, trigger: bool = False) -> Trace | None:
-        """Return the newest window of a length; None without data.
+        """Return a picture of the newest scans; None if there are none.
 
         Args:
-            span_s: its length [s].
-            columns: columns of the picture; there may be fewer, or up to half as many more.
-            trigger: whether to move the window back until it begins where the current crosses zero upwards.
+            span_s: length of the window [s].
+            columns: number of columns of the picture; there may be fewer, or up to half as many more.
+            trigger: whether to move the window back in time until it begins where the current crosses zero upwards, so
+                that successive pictures of a periodic motion coincide.
         """
         if self.end <= self.begin:
             return None
@@ -189,7 +224,10 @@ class Scope:
         return self._trace(level, begin // level.fine, count // level.fine, step // level.fine, crossing)
 
     def _crossing(self, begin: int) -> float:
-        """Return the last scan before `begin` at which the current crosses zero upwards; NaN if there is none."""
+        """Return the number of the last scan before scan `begin` at which the current crosses zero upwards.
+
+        Returns NaN if there is none in the quarter of a second before, or if the current is too small.
+        """
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
         found = self._read(low, begin + 1)[CURRENT]
         if not len(found):
@@ -211,11 +249,19 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float) -> NDArray[np.float32]:
-        """Return the newest scans, in the shape of a `Trace`'s minima."""
+        """Return the scans of the newest `span_s` seconds, shape (channels, scans), with channels as in `Trace.low`."""
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
-        """Build columns of `step` pairs of a level each; on a coarse level, the first begins up to one pair early."""
+        """Return a picture whose columns comprise `step` pairs of a level each.
+
+        Args:
+            level: level to read.
+            begin: number of the first pair; on a coarse level it may begin up to one pair before the window.
+            count: number of pairs in the window.
+            step: number of pairs in a column.
+            crossing: number of the scan of the trigger, or NaN.
+        """
         columns = count // step
         low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)
         status = np.zeros(columns * step, np.uint8)
@@ -236,7 +282,9 @@ class Scope:
 
 
 def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
-    """Rearrange values into columns: shape (…, n * step) becomes (step, …, n), in a copy.
+    """Rearrange values so that a reduction over the first axis reduces groups of `step` neighbours.
+
+    The shape (…, n · step) becomes (step, …, n), in a copy.
 
     NumPy reduces a long first axis up to forty times as fast as a short last one.
     """
@@ -244,7 +292,17 @@ def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
 
 
 def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tuple[float, NDArray[np.float32]]:
-    """Return the resolution [Hz] and the amplitude spectrum (Hann window, peak values) up to a frequency."""
+    """Return the amplitude spectrum of a channel for the page.
+
+    Args:
+        values: consecutive scans, shape (n,); NaN counts as 0.
+        rate_hz: scans per second.
+        top_hz: highest frequency of the result.
+
+    Returns:
+        Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on, with a Hann window; no amplitudes for
+        fewer than 16 scans.
+    """
     count = len(values)
     if count < 16:
         return 1.0, np.zeros(0, np.float32)
@@ -255,6 +313,6 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
 
 @functools.lru_cache(maxsize=4)  # every page requests it four times a second, usually with the same length
 def _hann(count: int) -> NDArray[np.float64]:
-    """Return a Hann window that preserves peak values of a sine in the middle of a line."""
+    """Return a Hann window of `count` samples, scaled so that a sine at a line of the spectrum has its peak value."""
     window = np.hanning(count)
     return window * (2.0 / window.sum())

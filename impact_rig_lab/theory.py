@@ -11,9 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Theory of the rig at its present settings: lines for the curve, computed in the background.
+"""Theoretical curves of DT over frequency at the present settings of the rig, which the page draws with measurements.
 
-A prediction takes some tenths of a second. A thread of low priority computes it when gap, current, sphere, law or
+They are the closed form without the sphere, motions with two symmetric impacts per cycle, and branches computed before.
+The second ones take some tenths of a second: a thread of low priority computes them when gap, current, sphere, law or
 another relevant value has changed, and skips outdated requests.
 """
 
@@ -41,21 +42,34 @@ FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
     np.concatenate([np.linspace(7.0, 11.0, 81), np.linspace(8.6, 9.6, 101)]).round(6)
 )
 """Frequencies of the prediction: the initial range of the page's axis, denser near the resonance."""
-IMPACTS_PER_CYCLE = 2
+IMPACTS_PER_CYCLE = 2  # number of impacts per cycle of the predicted motions
 OTHER_MOTION = 0.05
-"""Difference of impacts per cycle from which a motion counts as another one; occasionally missed impacts make less."""
+"""Difference of impacts per cycle above which a measured motion counts as another one than the predicted one.
+
+Impacts that the sensor misses occasionally make a smaller difference.
+"""
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
-"""Kinds of drive that keep current or base constant, and the unit and factor for display."""
+"""Kinds of drive for which there is a prediction (constant current, or constant motion of the inferior base).
+
+Each has the factor and the unit in which the page shows the amplitude.
+"""
 
 
 def lower_priority() -> None:
-    """Lower the priority of the calling thread, and of the threads it starts."""
+    """Lower the priority of the calling thread, and of the threads it starts, in favour of rig and analysis."""
     thread = threading.get_native_id()
     os.setpriority(os.PRIO_PROCESS, thread, max(GENTLE, os.getpriority(os.PRIO_PROCESS, thread)))
 
 
 def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
-    """Return frequency and transmissibility of the rig without the sphere, for the curve's background."""
+    """Return the transmissibility DT of the rig without the sphere over frequency: the thin line in the page's curve.
+
+    Args:
+        values: parameters of the rig by name.
+
+    Returns:
+        Pairs [frequency in Hz, DT]; none if the parameters are unknown.
+    """
     natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
     if not natural or not damping:
         return []
@@ -67,15 +81,15 @@ def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
 
 
 def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
-    """Return the motions with two symmetric impacts per cycle, over the frequency.
+    """Compute DT of the motions with two symmetric impacts per cycle over frequency, as lines for the page's curve.
 
     Args:
         values: configuration values by name; those of `DECIDING` count, others are ignored.
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
-        `lines`: [whether it is stable, [[frequency, DT], ...]], `words`: description of the motions, or the reason why
-            there are none, and `impacts` per cycle of the predicted motion, if there is one.
+        `lines`: each [whether it is stable, [[frequency in Hz, DT], ...]], `words`: description of the motions for the
+            user, or the reason why there are none, and `impacts`: impacts per cycle, only if there is a motion.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
@@ -109,7 +123,12 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return how the measured motion differs from the predicted one; empty if it may be the same."""
+    """Return a sentence for the page if the measured motion is another one than the predicted one; otherwise "".
+
+    Args:
+        prediction: result of `predicted`.
+        impacts_per_cycle: measured number of impacts per cycle.
+    """
     wanted = prediction.get("impacts")
     if wanted is None or not abs(impacts_per_cycle - wanted) > OTHER_MOTION:
         return ""
@@ -120,33 +139,38 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
 
 
 class Continued(NamedTuple):
-    """Motions of the model over the frequency, computed by `impact-rig dynamics`."""
+    """Branches of periodic motions of the model over frequency, computed before by `impact-rig dynamics continue`."""
 
-    values: Mapping[str, Any]  # configuration values of `DECIDING` at which they exist, for any start of the sphere
-    amplitude: float  # amplitude of the drive, peak
-    lines: list[list[Any]]  # as returned by `predicted`
+    values: Mapping[str, Any]  # configuration values of `DECIDING` for which they were computed, without sphere.start
+    amplitude: float  # peak amplitude of the drive for which they were computed; unit by `drive.kind`
+    lines: list[list[Any]]  # DT over frequency, in the form of `predicted`
     title: str  # title of the study
 
     def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
-        """Return whether the motions belong to a rig with these values."""
+        """Return whether the branches were computed for a rig with these settings, so that the page may draw them.
+
+        Args:
+            values: parameters of the rig by name; missing ones count as equal.
+            amplitude: peak amplitude of its drive.
+        """
         return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
             values.get(name, value) == value for name, value in self.values.items()
         )
 
 
 def continued(directory: Path) -> Continued:
-    """Read the results of `impact-rig dynamics continue`.
+    """Read branches of motions over frequency from the output directory of `impact-rig dynamics continue`.
 
     Raises:
         ConfigError: the results are missing, or not over the frequency, or `impact_rig_studies` is not installed.
     """
-    from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415
-
     try:
         from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415  # as above
         from impact_rig_studies.maps.plan import FREQUENCY  # noqa: PLC0415
     except ImportError as error:
-        raise ConfigError(f"{directory}: impact_rig_studies, which reads it, is not installed") from error
+        raise ConfigError(
+            f"{directory}: its branches cannot be read, because the package impact_rig_studies is not installed"
+        ) from error
 
     done = plan.open_study(directory, plan.CONTINUE)
     study = done.plan
@@ -166,7 +190,15 @@ def continued(directory: Path) -> Continued:
 def _parts(
     frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
 ) -> Iterator[list[Any]]:
-    """Yield the stable and unstable stretches of a branch; neighbours share a point, so that the line is continuous."""
+    """Yield the alternately stable and unstable parts of a branch as lines in the form of `predicted`.
+
+    Successive parts share a point, so that the drawn line has no gap.
+
+    Args:
+        frequency_hz: frequencies along the branch, shape (n,).
+        dt: transmissibility there, shape (n,).
+        stable: whether the motion is stable there, shape (n,).
+    """
     points = [[round(float(f), 4), round(float(value), 4)] for f, value in zip(frequency_hz, dt, strict=True)]
     turns = (np.flatnonzero(np.diff(stable)) + 1).tolist()
     for first, end in zip([0, *turns], [*turns, len(points)], strict=True):
@@ -176,10 +208,13 @@ def _parts(
 
 
 class Theory:
-    """Background computation of predictions; only the newest request counts.
+    """Background computation of predictions for the page: only the newest request counts, outdated ones are skipped.
 
     Args:
-        on_prediction: called with every prediction, in a thread of this object.
+        on_prediction: function that receives each prediction, in a thread of this object.
+
+    Attributes:
+        branches: motions computed before; those that exist at the requested settings are added to the prediction.
     """
 
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
@@ -192,7 +227,12 @@ class Theory:
         self._thread: threading.Thread | None = None
 
     def want(self, values: Mapping[str, Any], amplitude: float) -> None:
-        """Request the prediction of these values; a repeated request has no effect."""
+        """Request the prediction for some settings; if they are those of the previous request, nothing happens.
+
+        Args:
+            values: parameters of the rig by name.
+            amplitude: peak amplitude of its drive [A or m by `drive.kind`].
+        """
         wish = {name: values[name] for name in DECIDING if name in values}, amplitude
         with self._lock:
             if self._ended or wish == self._known:
@@ -203,7 +243,7 @@ class Theory:
                 self._thread.start()
 
     def close(self) -> None:
-        """Stop the thread."""
+        """End the computation: wait for a running prediction, and ignore later requests."""
         with self._lock:
             self._ended = True
             thread = self._thread
@@ -211,7 +251,7 @@ class Theory:
             thread.join()
 
     def _run(self) -> None:
-        """Compute until there is no request left."""
+        """Compute the newest request again and again until none is left; body of the thread."""
         lower_priority()
         while True:
             with self._lock:

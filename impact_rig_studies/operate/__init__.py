@@ -11,8 +11,8 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Operators: loops that set the drive, wait until it is applied and settled, and measure; without a rig or ROS.
+"""Operators of a rig: they set the drive, wait until it is applied and the response has settled, measure, and repeat.
 
-`stepped_sine` decides the next setpoint. `operator` is the loop that applies it to a rig of `impact_rig.driver`, in
-this process or behind topics, or from a node's callbacks.
+`stepped_sine` and `phase_lock` decide the next setpoint, without access to a rig or ROS. `operator` is the loop that
+applies it: to a rig of `impact_rig.driver`, in this process or over ROS topics, or from a node's callbacks.
 """

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Loop of every operator here: set, wait until applied, settle, measure, report, and repeat.
+"""Loop that connects a controller run (`SteppedSine` or `LockedSine`) to the drive of a rig.
 
-`Operator` processes updates: a node with callbacks passes on what arrives. `operate` drives a rig and its analysis
-block by block, for campaigns and the demo.
+`Operator` receives updates of the rig and sets what the run requests; a node with callbacks passes on what arrives.
+`operate` drives a rig and its analysis block by block, for campaigns and the demo.
 """
 
 from __future__ import annotations
@@ -37,14 +37,19 @@ OnUpdate = Callable[[SteppedSine], None]  # receives the sweep at its start and 
 
 @attrs.frozen
 class Applied:
-    """Change of the drive that the rig has accepted."""
+    """Change of the drive that the rig has accepted and applied."""
 
     setpoint: Setpoint  # frequency and current from that time on
-    at_ns: int  # rig time
+    at_ns: int  # rig time of the change
 
     @classmethod
     def of(cls, table: Table, at_ns: int | None = None) -> list[Applied]:
-        """Return the changes in a table of `shaker/applied`; `at_ns` replaces their own times."""
+        """Return the changes of the drive in a received table of `shaker/applied`.
+
+        Args:
+            table: the table.
+            at_ns: rig time that replaces the times in the table; None keeps these.
+        """
         return [
             cls(
                 Setpoint(float(row["frequency"]), float(row["current"])),
@@ -56,17 +61,17 @@ class Applied:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Update:
-    """Events of a rig since the last update; processed in the order of the attributes."""
+    """Events of a rig since the previous update, for `Operator.handle`, which processes them in this order."""
 
-    now_ns: int  # rig time
+    now_ns: int  # present rig time
     applied: Sequence[Applied] = ()  # accepted changes of the drive
     rows: Iterable[np.void] = ()  # measurements, rows of `transmissibility/table`
-    scans: Iterable[Table] = ()  # blocks of `daq/scan`, for a run that requires them
-    stopped: str = ""  # reason why the shaker is stopped; empty otherwise
+    scans: Iterable[Table] = ()  # blocks of `daq/scan`, which only a phase lock requires
+    stopped: str = ""  # reason why the shaker is stopped, which aborts the run; empty if it is not
 
 
 ControllerRun = SteppedSine | LockedSine
-"""Controller run, such as a sweep or a phase lock: it answers updates with the next setpoint."""
+"""State machine of one sweep or phase lock: it answers each event of the rig with the next setpoint, or None."""
 R = TypeVar("R", bound=ControllerRun)
 
 
@@ -74,9 +79,10 @@ class Operator(Generic[R]):
     """Connection of a controller run to a drive: it passes updates to the run and setpoints to the drive.
 
     Args:
-        run: decides the next setpoint, and keeps the measurements.
-        drive: sets frequency and current; the last setpoint, when the run is no longer busy, has zero current.
-        on_update: receives the run at its start and after every measurement.
+        run: controller run, which decides the next setpoint and keeps the measurements.
+        drive: function that sets frequency and current of the rig. When the run ends or is aborted, it receives a last
+            setpoint with zero current; then `busy` is False.
+        on_update: function that receives the run at its start and after every measurement.
     """
 
     def __init__(self, run: R, drive: Callable[[Setpoint], None], on_update: Callable[[R], None]) -> None:
@@ -86,16 +92,23 @@ class Operator(Generic[R]):
 
     @property
     def busy(self) -> bool:
-        """Return whether the run is still going on."""
+        """Return whether the run has begun, and has neither finished nor been aborted."""
         return self.run.state is SweepState.RUNNING
 
     def begin(self, now_ns: int) -> None:
-        """Set the first point."""
+        """Start the run, set the drive to its first point, and call `on_update`.
+
+        Args:
+            now_ns: present rig time.
+        """
         self._follow(self.run.start(now_ns))
         self._on_update(self.run)
 
     def handle(self, update: Update) -> None:
-        """Pass on an update, and set what the run requests."""
+        """Pass the events of an update to the run one after the other, and set the drive to each requested setpoint.
+
+        `on_update` is called if the run has accepted a measurement.
+        """
         run, measured = self.run, self.run.measured
         for applied in update.applied:
             self._follow(run.on_applied(applied.setpoint.frequency_hz, applied.setpoint.current_a, applied.at_ns))
@@ -110,7 +123,11 @@ class Operator(Generic[R]):
         self._follow(run.on_time(update.now_ns))
 
     def abort(self, reason: str) -> None:
-        """End a run in progress."""
+        """End a run in progress as aborted, and set the current of the drive to zero; otherwise do nothing.
+
+        Args:
+            reason: reason for the user, which becomes `run.reason`.
+        """
         self._follow(self.run.abort(reason))
 
     def _follow(self, setpoint: Setpoint | None) -> None:
@@ -119,16 +136,18 @@ class Operator(Generic[R]):
 
 
 def ignore(_sweep: SteppedSine) -> None:
-    """Do nothing on an update."""
+    """Ignore an update: default of `on_update` for callers that do not show the progress of a sweep."""
 
 
 def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
-    """Take a rig through a whole sweep until it ends, and leave the drive in its final state.
+    """Run a whole sweep on a rig until it has finished or is aborted; see `sweep.state` and `sweep.reason` afterwards.
+
+    The drive keeps the setpoint of the last point; it is not set to zero current.
 
     Args:
-        sweep: decides the next setpoint.
-        rig: new rig with its analysis; a block is the interval between two updates.
-        on_update: receives the sweep at its start and after every measurement.
+        sweep: the sweep, which decides the next setpoint and keeps the measurements.
+        rig: new rig with its analysis; the sweep is updated after each block of scans.
+        on_update: function that receives the sweep at its start and after every measurement.
 
     Raises:
         ImpactRigError: the rig rejected a command, or failed; the sweep keeps its measurements.

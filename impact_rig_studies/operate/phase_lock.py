@@ -11,10 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Resonance search, track and dwell: the next setpoint, as a pure state machine.
+"""Phase lock: a state machine that searches for the resonance, tracks it, and stays there (dwell).
 
-    idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwelt ──► finished
-                         └──────────────── rule broken ─────────────┴───────────────► aborted
+At the resonance the phase of the superior base relative to a reference (the inferior base, or the current) is −90°.
+
+    idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwell time over ──► finished
+                         └─────────── time or amplitude limit, stop ┴──────────────────────────► aborted
 
 Seeking steps the frequency coarsely in the direction indicated by the phase, until the phase has crossed. Tracking
 corrects the frequency continuously by a part of the detuning of each sample: an integral controller. Against the base
@@ -23,10 +25,11 @@ the detuning is known for any damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(
 slope was too large if the detuning changes sign from sample to sample, and too small if it keeps its sign.
 
 A sample (`PhasorMeter`) is faster than a settled measurement: the scans of the last whole cycles at constant frequency
-are fitted by a sine, and corrected for skew and lag by the certificate.
+are fitted by a sine, and corrected for skew and lag of the sensors by their calibration certificate.
 
-`LockedSine` locks with the updates of an operator. A program that drives a rig (`LockLoop`) continues with `follow` and
-`lock_on`, and measures the backbone, an amplitude sweep of locks, with `sweep_amplitude`.
+`LockedSine` is the lock for an operator, which passes events of a rig to it. A program that itself drives a rig uses
+`LockLoop` with `lock_on` and `follow`. It measures the backbone curve, the resonance over the amplitude, with
+`sweep_amplitude`.
 """
 
 from __future__ import annotations
@@ -52,44 +55,54 @@ from impact_rig.states import Status
 from impact_rig_studies.operate.plans import LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import SAME, Setpoint, SweepState, sweep_rows
 
-MIN_CYCLES = 2
+MIN_CYCLES = 2  # smallest number of drive cycles in a sample
 
 
 class Sample(NamedTuple):
-    """Sample of the motion: one stretch of scans."""
+    """Sample of the motion: complex amplitudes at the drive frequency, from consecutive scans of some cycles.
 
-    end_ns: int  # rig time of its end
+    The origin of their phases is arbitrary but common, so that only phases relative to one another are meaningful.
+    """
+
+    end_ns: int  # rig time of the end of its scans
     frequency_hz: float  # drive frequency
-    base: complex  # complex amplitude [m]; only ratios of the three are meaningful
-    superior: complex  # complex amplitude [m]
-    current: complex  # complex amplitude [A]
-    u_gain: float = 0.0  # relative standard uncertainty of DT due to the sensitivities, at these amplitudes
+    base: complex  # displacement of the inferior base, peak [m]
+    superior: complex  # displacement of the superior base, peak [m]
+    current: complex  # current of the shaker, peak [A]
+    u_gain: float = 0.0  # relative standard uncertainty of DT due to the sensors' sensitivities, at these amplitudes
 
     @property
     def dt(self) -> float:
-        """|X_1| / |X_b|."""
+        """Transmissibility: amplitude of the superior base over that of the inferior base."""
         return abs(self.superior) / abs(self.base)
 
     @property
     def sound(self) -> bool:
-        """Return whether all three are finite, and base and current are not zero."""
+        """Return whether the three amplitudes are finite, and those of inferior base and current are not zero.
+
+        Otherwise neither DT nor a phase can be computed.
+        """
         sizes = abs(self.base), abs(self.superior), abs(self.current)
         return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
 
 
 class PhasorMeter:
-    """Sine fit of the newest scans."""
+    """Measurement of samples: a sine fit to scans, corrected by the calibration of the sensors.
+
+    Args:
+        info: rows of `daq/info`, with the calibration and the scan rate.
+    """
 
     def __init__(self, info: NDArray[np.void]) -> None:
         self._calibration = Calibration.from_info(info)
 
     def sample(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Sample | None:
-        """Return the phasors of consecutive scans at one frequency, or None if they are fewer than `MIN_CYCLES`.
+        """Return the complex amplitudes in the last whole cycles of some scans, or None for less than `MIN_CYCLES`.
 
         Args:
-            rows: rows of `daq/scan`, shape (n,).
+            rows: consecutive rows of `daq/scan`, shape (n,).
             frequency_hz: frequency of the drive during all of them.
-            end_ns: rig time of the scan after the last.
+            end_ns: rig time of the scan after the last one.
         """
         period = self._calibration.rate_hz / frequency_hz
         cycles = math.floor(len(rows) / period)
@@ -107,11 +120,11 @@ class PhasorMeter:
         return Sample(end_ns, frequency_hz, base, superior, current, math.hypot(*u))
 
 
-STEEPEST = 4.0  # largest tan φ' that is used: beyond it, the phase only shows the direction of the resonance
-MEAN_S = 1.0  # duration over which the phase is averaged
-SMALLER, LARGER = 0.6, 1.25  # factors of the slope if the detuning overshoots, and if it persists
+STEEPEST = 4.0  # largest |tan φ'| that is used: beyond it, the phase only shows the direction of the resonance
+MEAN_S = 1.0  # rig time over which the phase is averaged to decide whether it is locked
+SMALLER, LARGER = 0.6, 1.25  # factors of the slope if the detuning changes sign, and if it keeps its sign
 SLUGGISH = 4
-"""Number of samples with a detuning of one sign and outside the bound from which the slope counts as too small."""
+"""Number of consecutive samples with a detuning of one sign, and outside the bound, that make the slope too small."""
 DIGITS = 6  # digits of a commanded frequency [Hz]
 
 
@@ -122,11 +135,14 @@ PHASE_LOCK = np.dtype([
         "locked",
     )
 ])  # fmt: skip
-"""Columns of `blocks.SWEEP` that a sample of a phase lock has; the phase is that against the reference."""
+"""Row type of the samples of a phase lock: those columns of `blocks.SWEEP` that a sample has.
+
+The phase is that of the superior base relative to the reference of the lock.
+"""
 
 
 class Stage(enum.StrEnum):
-    """Stage of a running lock."""
+    """Stage of a running phase lock: coarse search, correction of the frequency, phase within the bound."""
 
     SEEKING = "seeking"
     TRACKING = "tracking"
@@ -134,15 +150,21 @@ class Stage(enum.StrEnum):
 
 
 class PhaseLock:
-    """State machine that seeks a resonance, tracks it, and dwells there.
+    """State machine that searches for a resonance, tracks it, and stays there for the dwell time.
+
+    Its methods receive samples and return the next setpoint of the drive. Times are rig times [ns].
+
+    Args:
+        plan: range, speeds and limits of the search and of the lock.
 
     Attributes:
-        state: running, finished, aborted.
-        stage: stage of a running one.
-        reason: why it was aborted; empty otherwise.
+        state: state of the lock: idle, running, finished or aborted.
+        stage: stage of a running lock.
+        reason: reason why the lock was aborted; empty otherwise.
         frequency_hz: commanded frequency.
-        current_a: commanded current.
+        current_a: commanded peak current.
         locked_ns: rig time of the first lock, or None.
+        u_gain: `Sample.u_gain` of the newest sample.
     """
 
     def __init__(self, plan: LockPlan) -> None:
@@ -161,50 +183,65 @@ class PhaseLock:
 
     @property
     def sample_s(self) -> float:
-        """Duration of the next sample [s]."""
+        """Rig time that the next sample should comprise [s]; it is longer during the search than during tracking."""
         return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.sample_s
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """All samples so far: rows of `PHASE_LOCK`, `time` from the start."""
+        """All samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s]."""
         return np.array(self._rows, PHASE_LOCK)
 
     def rows_from(self, first: int) -> NDArray[np.void]:
-        """Return the rows from one on; a negative number counts from the end."""
+        """Return the samples from the one with index `first` on, as `rows`; a negative index counts from the end."""
         return np.array(self._rows[first:], PHASE_LOCK)
 
     @property
     def locked(self) -> bool:
-        """Return whether the phase is held now."""
+        """Return whether the lock is running and its phase, averaged over `MEAN_S`, is now within the bound."""
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search."""
+        """Start the search at a rig time, and return its first setpoint."""
         self._began_ns = self._held_ns = now_ns
         self.state = SweepState.RUNNING
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
-        """Continue with another current; a lock must be found again within the limit."""
+        """Continue with another peak current from the present frequency on, and return the setpoint.
+
+        The phase must then be locked again within the plan's `lose_limit_s`, otherwise the lock is aborted.
+        """
         self.current_a = current_a
         self.unlock(now_ns)
         return self._setpoint()
 
     def unlock(self, now_ns: int) -> None:
-        """Drop the lock, because a setting has changed and the phase must be found again."""
+        """Continue with tracking after a setting of the rig has changed; the limit for a lost lock starts again.
+
+        Earlier samples no longer count for the mean phase.
+        """
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
         self._held_ns = self._tracked_ns = now_ns
         self._samples.clear()
 
     def on_sample(self, sample: Sample) -> Setpoint:
-        """Process a sample; return the next setpoint, equal to the last one if nothing changes."""
+        """Process a sample measured at the last setpoint, and return the next setpoint.
+
+        It equals the last one if nothing changes, and has zero current if the lock has ended.
+        """
         if self.state is not SweepState.RUNNING:
             return self._setpoint()
         if not sample.sound:
-            return self.abort("base or current do not move")
+            return self.abort(
+                "base or current do not move: the amplitude of the inferior base or of the current is zero, or a "
+                "sensor gives no number"
+            )
         if abs(sample.superior) > self._plan.superior_limit_m:
-            return self.abort(f"the superior base swings {abs(sample.superior) * 1e3:.3g} mm")
+            return self.abort(
+                f"the superior base swings {abs(sample.superior) * 1e3:.3g} mm, more than the limit of "
+                f"{self._plan.superior_limit_m * 1e3:g} mm (superior_limit_m)"
+            )
         turned = sample.superior / (sample.base if self._plan.reference == Reference.BASE else sample.current)
         if self.stage is Stage.SEEKING:
             self._seek(turned)
@@ -217,7 +254,11 @@ class PhaseLock:
         return self._setpoint()
 
     def abort(self, reason: str) -> Setpoint:
-        """End, because the rig tripped or the operator requests it."""
+        """End a running lock as aborted, and return the setpoint with zero current.
+
+        Args:
+            reason: reason for the user, which becomes `reason`.
+        """
         if self.state is SweepState.RUNNING:
             self.state, self.reason = SweepState.ABORTED, reason
         return self._setpoint()
@@ -253,7 +294,11 @@ class PhaseLock:
             self.stage = Stage.TRACKING
 
     def _detuning_hz(self, turned: complex) -> float:
-        """Return the distance of the resonance above the present frequency, at most a step of the search."""
+        """Return an estimate of resonance − present frequency [Hz], limited to ± one step of the search.
+
+        Args:
+            turned: complex amplitude of the superior base over that of the reference.
+        """
         if self._plan.reference == Reference.BASE:
             detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
         else:
@@ -264,7 +309,11 @@ class PhaseLock:
         return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
 
     def _adapt(self, detuned: float) -> None:
-        """Correct the slope according to the signs of the detunings."""
+        """Correct the slope (Hz per tan φ') of a lock against the current, from the signs of successive detunings.
+
+        Args:
+            detuned: tan φ' of the newest sample.
+        """
         if self._signs * detuned < 0.0:
             self._slope *= SMALLER
             self._signs = 0
@@ -287,20 +336,32 @@ class PhaseLock:
         plan, waited = self._plan, (now_ns - self._held_ns) / NS_PER_S
         if self.locked_ns is None:
             if waited > plan.seek_limit_s:
-                self.abort(f"no resonance was found from {plan.start_hz:g} Hz within {plan.seek_limit_s:g} s")
+                self.abort(
+                    f"no resonance was found from {plan.start_hz:g} Hz within {plan.seek_limit_s:g} s of rig time, "
+                    f"between {plan.low_hz:g} and {plan.high_hz:g} Hz"
+                )
         elif waited > plan.lose_limit_s:
-            self.abort(f"the phase was not held for {plan.lose_limit_s:g} s")
+            self.abort(
+                f"the lock was lost: for {plan.lose_limit_s:g} s of rig time the phase was not within "
+                f"{plan.within_deg:g} degrees of -90 degrees"
+            )
         elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:
             self.state = SweepState.FINISHED
 
 
 def _turn_from_quarter(turned: complex) -> float:
-    """Return φ' = phase + 90°, in (−π, π]."""
+    """Return φ' = phase of `turned` + 90° in radians, in (−π, π]; it is 0 at the resonance.
+
+    `turned` is the complex amplitude of the superior base over that of the reference.
+    """
     return cmath.phase(turned * 1j)
 
 
 def _detuning(turned: complex) -> float:
-    """Return tan φ', bounded: the detuning in units of the slope."""
+    """Return tan φ', limited to ±`STEEPEST`: the detuning in units of the slope, positive if the resonance is above.
+
+    `turned` is the complex amplitude of the superior base over that of the reference.
+    """
     angle = _turn_from_quarter(turned)
     if abs(angle) >= math.atan(STEEPEST):
         return math.copysign(STEEPEST, angle)
@@ -308,11 +369,17 @@ def _detuning(turned: complex) -> float:
 
 
 class LockedSine:
-    """Phase lock driven by the updates of an operator.
+    """Phase lock as a controller run of an `Operator`: it processes events of the rig, and makes samples from scans.
+
+    Each `on_…` method returns the next setpoint of the drive, or None if the drive stays as it is.
 
     Args:
-        info: rows of `daq/info`.
+        plan: range, speeds and limits of the search and of the lock.
+        info: rows of `daq/info`, with the calibration and the scan rate.
         accept_limit_s: rig time within which a command must be accepted, and the next scans must arrive.
+
+    Attributes:
+        measured: number of samples so far.
     """
 
     def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float = 5.0) -> None:
@@ -327,44 +394,48 @@ class LockedSine:
 
     @property
     def state(self) -> SweepState:
-        """State of the lock."""
+        """State of the lock: idle, running, finished or aborted."""
         return self._lock.state
 
     @property
     def reason(self) -> str:
-        """Reason why it was aborted; empty otherwise."""
+        """Reason why the lock was aborted; empty otherwise."""
         return self._lock.reason
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """All samples so far: rows of `PHASE_LOCK`."""
+        """All samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s]."""
         return self._lock.rows
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the rows from one on: rows of `blocks.SWEEP`."""
+        """Return the samples from the one with index `first` on, as rows of `blocks.SWEEP`."""
         found = sweep_rows(self._lock.rows_from(first))
         found["status"] = Status.OK.value
         return found
 
     def describe(self) -> str:
-        """Return a readable description of the state."""
+        """Return the progress of a running or finished lock as text for the user, such as "tracking at 9.1 Hz"."""
         at = f"{self._lock.frequency_hz:.6g} Hz"
         return (
             f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"
         )
 
     def figures(self) -> dict[str, float]:
-        """Return the progress for programs."""
+        """Return the progress by key for the diagnostics of a node; the phase is NaN before the first sample."""
         phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
         locked = float(self._lock.locked)
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search."""
+        """Start the search at a rig time, and return its first setpoint."""
         return self._ask(self._lock.start(now_ns), now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Process an accepted change of the drive; a change by another client ends the lock."""
+        """Process a change of the drive that the rig has accepted at a rig time.
+
+        If it is the requested setpoint, the scans from this time on count. A different setpoint after that is one of
+        another client, and aborts the lock.
+        """
         if self.state is not SweepState.RUNNING:
             return None
         wanted = self._wanted
@@ -379,12 +450,16 @@ class LockedSine:
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Ignore a settled measurement: a lock is faster."""
+        """Ignore a row of `transmissibility/table`: a lock uses scans, because it cannot wait until they settle."""
         del row, now_ns
         return None
 
     def on_scans(self, table: Table) -> Setpoint | None:
-        """Process a block of `daq/scan`; return the next setpoint once a stretch is complete."""
+        """Process a block of `daq/scan`; return the next setpoint if a sample is complete and the setpoint changes.
+
+        Only scans from the time on count at which the present setpoint was accepted. After missing scans, the sample
+        starts again.
+        """
         rows, step_ns = table.rows, NS_PER_S / self._rate_hz
         if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
             return None
@@ -406,7 +481,7 @@ class LockedSine:
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the rig time; end the lock if a command is not accepted, or no scans arrive."""
+        """Process the present rig time: abort the lock if a command is not accepted, or no scans arrive, in time."""
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
         if self._since_ns is None:
@@ -414,7 +489,13 @@ class LockedSine:
         return self.abort(f"no scans received for {self._limit_s:g} s")
 
     def abort(self, reason: str) -> Setpoint | None:
-        """End a running lock, because the rig tripped or the operator requests it."""
+        """End a running lock as aborted because of an event outside of it, such as a trip of the rig.
+
+        Returns the setpoint with zero current, or None if the lock is not running.
+
+        Args:
+            reason: reason for the user, which becomes `reason`.
+        """
         return self._lock.abort(reason) if self.state is SweepState.RUNNING else None
 
     def _ask(self, setpoint: Setpoint, now_ns: int) -> Setpoint:
@@ -428,10 +509,10 @@ NEVER_S = 1e9  # rig time that no test reaches
 
 
 class LockLoop:
-    """Rig with a locked resonance, whose time advances only in `sample`.
+    """Rig that a program drives through a phase lock: it sets the drive and takes samples; time advances in `sample`.
 
     Args:
-        rig: rig with blocks that are short compared with a sample.
+        rig: the rig; its blocks of scans must be short compared with a sample.
     """
 
     def __init__(self, rig: RigDriver) -> None:
@@ -440,11 +521,14 @@ class LockLoop:
 
     @property
     def now_ns(self) -> int:
-        """Rig time since the start [ns]."""
+        """Present rig time [ns]."""
         return self.rig.now_ns
 
     def set(self, setpoint: Setpoint) -> None:
-        """Command frequency, then current, if they have changed."""
+        """Command the frequency, then the current, of a setpoint, each only if it differs from the last one commanded.
+
+        Nothing is commanded while the shaker of the rig is stopped.
+        """
         if self.rig.stopped:
             return
         if setpoint.frequency_hz != self._setpoint.frequency_hz:
@@ -454,7 +538,10 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Advance by a rig time and return the motion during it, or the reason why the rig stopped."""
+        """Advance the rig by a rig time, and return the sample of the motion during it.
+
+        Without a sample it returns a text: the reason why the shaker is stopped, or that the time was too short.
+        """
         rig = self.rig
         rig.clear()
         rig.step(max(1, round(seconds * rig.rate_hz / rig.block_scans)))
@@ -462,11 +549,20 @@ class LockLoop:
             return rig.stopped
         rows, info = rig.rows(), rig.tables(topics.INFO.name)[-1].rows
         sample = PhasorMeter(info).sample(rows, self._setpoint.frequency_hz, rig.now_ns)
-        return sample or f"{len(rows)} scans are too few for a sample"
+        return sample or (
+            f"{len(rows)} scans are too few for a sample at {self._setpoint.frequency_hz:g} Hz: at least {MIN_CYCLES} "
+            "cycles are needed"
+        )
 
 
 def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) -> None:
-    """Continue a started lock until it ends, or until a condition is true."""
+    """Continue a started lock on a rig, sample by sample, until it has ended or a condition is true.
+
+    Args:
+        lock: the lock; it is aborted if the rig stops.
+        loop: the rig.
+        until: condition, checked before each sample.
+    """
     while lock.state is SweepState.RUNNING and not until(lock):
         now = loop.sample(lock.sample_s)
         setpoint = lock.abort(now) if isinstance(now, str) else lock.on_sample(now)
@@ -474,7 +570,12 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
 
 
 def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
-    """Search, track and dwell; return the final state of the lock."""
+    """Run a complete phase lock on a rig (search, track, dwell), and return it, finished or aborted.
+
+    Args:
+        plan: range, speeds and limits of the lock.
+        loop: the rig.
+    """
     lock = PhaseLock(plan)
     loop.set(lock.start(loop.now_ns))
     follow(lock, loop, lambda _: False)
@@ -482,20 +583,28 @@ def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
 
 
 class Mean(NamedTuple):
-    """Means of a locked stretch, with standard uncertainties."""
+    """Resonance frequency and transmissibility as means over a time in which the phase was locked."""
 
-    frequency_hz: float  # of the resonance
+    frequency_hz: float  # resonance frequency
     u_frequency_hz: float
-    """Uncertainty from the scatter of the samples, their correlation, and the distance of the mean phase from −90°."""
-    dt: float  # |X_1| / |X_b|
-    u_dt: float  # from the scatter of the samples and the sensitivities, which are common to all measurements of a rig
+    """Standard uncertainty of frequency_hz: from scatter and correlation of the samples, and mean phase minus −90°."""
+    dt: float  # transmissibility: amplitude of the superior base over that of the inferior base
+    u_dt: float
+    """Standard uncertainty of dt: scatter of the samples, and the sensors' sensitivities.
+
+    The latter are common to all measurements of a rig.
+    """
 
 
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
-    """Return the means of samples (`PHASE_LOCK`), shape (n,); uncertainties are NaN for fewer than `FEWEST`.
+    """Return resonance frequency and transmissibility as means of the samples of a lock, with their uncertainties.
 
-    Against the base the resonance is (f/2) Re(X_b/X_1) above the frequency of a sample, for any damping. If the mean
-    phase is not −90°, this distance is uncertain.
+    For a lock against the base, the resonance is (f/2) Re(X_b/X_1) above the frequency f of a sample, for any damping.
+    The mean of this distance counts as part of the uncertainty.
+
+    Args:
+        rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.
+        u_gain: relative standard uncertainty of DT due to the sensors' sensitivities.
     """
     frequency = float(np.mean(rows["frequency"]))
     dt = float(np.mean(rows["laser_amplitude"]) / np.mean(rows["base_amplitude"]))
@@ -510,37 +619,49 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 
 @attrs.frozen(kw_only=True)
 class AmplitudeSweep:
-    """Amplitude sweep along a backbone: the locked loop over currents, up, then down."""
+    """Plan of the measurement of a backbone curve: the resonance at ascending, then descending currents."""
 
-    currents_a: tuple[float, ...]  # ascending
-    # plan of the lock; its current and dwell are not used, and its limit for lost locks applies to each point
+    currents_a: tuple[float, ...]  # peak currents [A], ascending
+    # plan of the lock: its current and dwell time are not used, and its limit for a lost lock applies to each point
     lock: LockPlan
     wait_s: float = 8.0
-    """Rig time at each point, locked or given up, before it is measured; limits the remaining transient."""
+    """Rig time at each point, after it has locked or the limit has passed, before it is measured.
+
+    It limits the remaining transient.
+    """
     mean_s: float = 6.0  # rig time over which a point is averaged
     jump: float = 0.25  # relative change of DT between two points that is reported as a jump and not joined by a line
 
 
 @attrs.frozen(kw_only=True)
 class AmplitudePoint:
-    """Point of an amplitude sweep."""
+    """Measured point of a backbone curve: resonance and amplitudes at one current."""
 
-    direction: str  # up or down
-    current_a: float  # commanded
-    frequency_hz: float  # mean; u_frequency_hz is its standard uncertainty, see `Mean`
-    u_frequency_hz: float
-    dt: float  # ratio of the mean amplitudes; u_dt likewise
-    u_dt: float
+    direction: str  # up or down: whether the currents were ascending or descending
+    current_a: float  # commanded peak current
+    frequency_hz: float  # mean resonance frequency
+    u_frequency_hz: float  # standard uncertainty of frequency_hz, see `Mean`
+    dt: float  # transmissibility: ratio of the mean amplitudes of superior and inferior base
+    u_dt: float  # standard uncertainty of dt, see `Mean`
     spread: float  # relative standard deviation of DT from sample to sample
-    superior_m: float  # mean amplitude
-    base_m: float  # mean amplitude
-    phase_deg: float  # mean
-    locked: bool  # whether the phase was held in every sample; otherwise the numbers are means of a wandering motion
+    superior_m: float  # mean amplitude of the superior base, peak
+    base_m: float  # mean amplitude of the inferior base, peak
+    phase_deg: float  # mean phase of the superior base relative to the reference
+    locked: bool  # whether the phase was locked in every sample; otherwise the values are means of a varying motion
     jumped: bool  # whether the response differs from the previous point: DT jumped, or the lock appeared or was lost
 
 
 def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
-    """Follow the backbone up and down; return its points, and why it ended early ("" if it did not)."""
+    """Measure a backbone curve: lock the phase at each current, ascending then descending, and average.
+
+    Args:
+        sweep: currents, plan of the lock, and times.
+        loop: the rig.
+
+    Returns:
+        The measured points, and the reason why the sweep ended early ("" if it did not). A complete sweep leaves the
+        drive at zero current.
+    """
     currents, bound = sweep.currents_a, sweep.lock
     lock = PhaseLock(attrs.evolve(bound, current_a=currents[0], dwell_s=NEVER_S, lose_limit_s=NEVER_S))
     loop.set(lock.start(loop.now_ns))
@@ -565,7 +686,7 @@ def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplitu
 def _pass(
     lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
-    """Follow a lock for a rig time, or until a condition is true."""
+    """Continue a lock on a rig for some seconds of rig time, or until it has ended or a condition is true."""
     end_ns = loop.now_ns + round(seconds * NS_PER_S)
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 

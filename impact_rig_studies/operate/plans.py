@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Plans of the operators: the points, the controlled amplitude and the tracked resonance, with their limits."""
+"""Plans of stepped sines and phase locks: points, controlled amplitude and tracked resonance, with their limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from impact_rig.errors import ConfigError
 
 
 class Direction(enum.StrEnum):
-    """Order of the points; up_down keeps the state of the rig between the two."""
+    """Order of the frequencies of a sweep: ascending, descending, or ascending and then descending without a reset."""
 
     UP = "up"
     DOWN = "down"
@@ -33,57 +33,89 @@ class Direction(enum.StrEnum):
 
 
 def current_field() -> Any:
-    """Return the field of the current that a sweep or a search sets."""
-    return quantity(0.52, "A", "Peak current (m or V by drive.kind).", Origin.IDENTIFIED, above=0, at_most=1000)
+    """Return a new attrs field `current_a` for a plan: the peak current that a sweep or phase lock commands."""
+    return quantity(
+        0.52,
+        "A",
+        "Peak amplitude of the drive: a current, or by drive.kind a displacement in m or a voltage in V.",
+        Origin.IDENTIFIED,
+        above=0,
+        at_most=1000,
+    )
 
 
 def superior_limit_field() -> Any:
-    """Return the field of the largest motion of the superior base that a controller accepts."""
-    return quantity(0.05, "m", "Amplitude of the superior base above which a controller aborts.", above=0, at_most=1)
+    """Return a new attrs field `superior_limit_m` for a plan: the amplitude at which a controller run is aborted."""
+    return quantity(
+        0.05, "m", "Peak amplitude of the superior base above which a controller aborts.", above=0, at_most=1
+    )
 
 
 @attrs.frozen(kw_only=True)
 class SweepPlan:
-    """Points and limits of a stepped sweep; its fields are also parameters of the stepped-sine node.
+    """Plan of a stepped sine: its points and limits; the fields are also parameters of the stepped-sine node.
 
     Raises:
-        ConfigError: an invalid value; the message names it.
+        ConfigError: a value is invalid; the message names it.
     """
 
     frequencies_hz: tuple[float, ...] = quantities(
         (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
         "Hz",
-        "Frequencies of the points.",
+        "Drive frequencies of the points, in any order.",
         Origin.PAPER,
         above=0,
         at_most=10_000,
     )
     current_a: float = current_field()
-    direction: str = choice("up", tuple(Direction), "Order of the points; up_down keeps the state between the two.")
-    measurements_per_point: int = integer(1, "-", "Number of measurements at each point.", at_least=1, at_most=1000)
+    direction: str = choice(
+        "up",
+        tuple(Direction),
+        "Order of the frequencies: ascending, descending, or both one after the other without a reset of the rig.",
+    )
+    measurements_per_point: int = integer(
+        1, "-", "Number of accepted measurements at each point.", at_least=1, at_most=1000
+    )
     dwell_limit_s: float = quantity(
-        150.0, "s", "Rig time at one point after which the sweep is aborted.", above=0, at_most=1e9
+        150.0,
+        "s",
+        "Rig time at one point without a measurement after which the sweep is aborted.",
+        above=0,
+        at_most=1e9,
     )
     accept_limit_s: float = quantity(
-        5.0, "s", "Rig time within which a command must be accepted.", above=0, at_most=1e5
+        5.0,
+        "s",
+        "Rig time after which the sweep is aborted if the rig has not accepted a command.",
+        above=0,
+        at_most=1e5,
     )
-    retries: int = integer(2, "-", "Number of rejected measurements tolerated per point.", at_least=0, at_most=1000)
-    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting.")
-    keep_unsettled: bool = switch(True, "Accept a response that does not settle within the analysis' limit.")
+    retries: int = integer(
+        2,
+        "-",
+        "Number of failed measurements at a point after which one more skips the point or aborts the sweep.",
+        at_least=0,
+        at_most=1000,
+    )
+    skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting the sweep.")
+    keep_unsettled: bool = switch(
+        True,
+        "Accept a response that has not settled within the time limit of the analysis; otherwise it counts as failed.",
+    )
 
     def __attrs_post_init__(self) -> None:
         if len(set(self.frequencies_hz)) != len(self.frequencies_hz):
-            raise ConfigError(f"frequencies_hz must not repeat a frequency, got {self.frequencies_hz!r}")
+            raise ConfigError(f"frequencies_hz must not contain a frequency twice, got {self.frequencies_hz!r}")
 
     def points(self) -> tuple[float, ...]:
-        """Return the frequencies in the order of measurement."""
+        """Return the drive frequencies [Hz] in the order of measurement; for up_down each occurs twice."""
         up = tuple(sorted(self.frequencies_hz))
         down = up[::-1]
         return {Direction.UP: up, Direction.DOWN: down, Direction.UP_DOWN: up + down}[Direction(self.direction)]
 
 
 class Hold(enum.StrEnum):
-    """Held quantity."""
+    """Quantity whose measured amplitude can be controlled: current, or motion of the inferior or superior base."""
 
     CURRENT = "current"
     BASE = "base"
@@ -92,30 +124,42 @@ class Hold(enum.StrEnum):
 
 @attrs.frozen(kw_only=True, slots=False)  # one of several bases of the node's parameters
 class HoldPlan:
-    """Controlled amplitude, and limits of its control; its fields are also parameters of the stepped-sine node.
+    """Plan of the control of an amplitude during a sweep; its fields are also parameters of the stepped-sine node.
 
     Raises:
-        ConfigError: an invalid value; the message names it.
+        ConfigError: a value is invalid; the message names it.
     """
 
-    hold: str = choice("base", tuple(Hold), "Controlled amplitude.")
+    hold: str = choice("base", tuple(Hold), "Quantity whose measured amplitude is controlled by adjusting the current.")
     target: float = quantity(
-        60e-6, "m or A", "Held amplitude, peak; ignored if hold is command or phase.", above=0, at_most=1000
+        60e-6,
+        "m or A",
+        "Peak amplitude to which the controlled quantity is adjusted; ignored if hold is command or phase.",
+        above=0,
+        at_most=1000,
     )
     tolerance: float = quantity(
-        2e-3, "-", "Relative error up to which the amplitude counts as held.", above=0, at_most=0.5
+        2e-3,
+        "-",
+        "Relative error up to which the amplitude counts as equal to the target.",
+        above=0,
+        at_most=0.5,
     )
     corrections: int = integer(
-        8, "-", "Maximum number of adjustments of the current per point.", at_least=1, at_most=1000
+        8, "-", "Maximum number of adjustments of the current at each point.", at_least=1, at_most=1000
     )
     current_limit_a: float = quantity(
-        15.0, "A", "Current above which a held amplitude aborts the sweep.", above=0, at_most=1000
+        15.0,
+        "A",
+        "Peak current above which the sweep is aborted if the target amplitude needs more.",
+        above=0,
+        at_most=1000,
     )
     superior_limit_m: float = superior_limit_field()
 
 
 class Reference(enum.StrEnum):
-    """Reference of the superior base's phase."""
+    """Reference of the superior base's phase in a phase lock: motion of the inferior base, or current."""
 
     BASE = "base"
     CURRENT = "current"
@@ -129,33 +173,45 @@ def _amount(default: float, unit: str, doc: str) -> Any:
 class LockSettings:
     """Settings of a phase lock that are also parameters of the stepped-sine node."""
 
-    reference: str = choice("base", tuple(Reference), "Reference of the superior base's phase.")
-    within_deg: float = quantity(
-        2.0, "deg", "Deviation of a second's mean phase up to which it counts as locked.", above=0, at_most=90
+    reference: str = choice(
+        "base",
+        tuple(Reference),
+        "Motion (of the inferior base) or current relative to which the phase of the superior base is measured.",
     )
-    dwell_s: float = quantity(30.0, "s", "Rig time at the resonance, from the first lock on.", above=0, at_most=1e9)
+    within_deg: float = quantity(
+        2.0,
+        "deg",
+        "Deviation from -90 degrees, of the phase averaged over a second, up to which the phase is locked.",
+        above=0,
+        at_most=90,
+    )
+    dwell_s: float = quantity(
+        30.0, "s", "Rig time from the first lock on after which the run finishes.", above=0, at_most=1e9
+    )
 
 
 @attrs.frozen(kw_only=True)
 class LockPlan(LockSettings):
-    """Plan of the search for a resonance, of its tracking and of the dwell there.
+    """Plan of a phase lock: search for a resonance, tracking of it, and dwell time there.
 
     Raises:
-        ConfigError: an invalid value; the message names it.
+        ConfigError: a value is invalid; the message names it.
     """
 
-    start_hz: float = _amount(9.0, "Hz", "Frequency where the search begins.")
-    current_a: float = current_field()
-    low_hz: float = _amount(5.0, "Hz", "Lowest frequency.")
-    high_hz: float = _amount(20.0, "Hz", "Highest frequency.")
-    step_hz: float = _amount(0.2, "Hz", "Step of the coarse search.")
-    seek_s: float = _amount(1.5, "s", "Rig time at each step of the search.")
-    sample_s: float = _amount(0.5, "s", "Rig time between two corrections of the frequency.")
-    time_constant_s: float = _amount(
-        3.0, "s", "Time constant of the correction; longer than the structure takes to respond."
+    start_hz: float = _amount(
+        9.0, "Hz", "Drive frequency where the search for the resonance begins; the phase decides whether up or down."
     )
-    seek_limit_s: float = _amount(60.0, "s", "Rig time until the first lock after which the search ends.")
-    lose_limit_s: float = _amount(20.0, "s", "Rig time without lock after which the run ends.")
+    current_a: float = current_field()
+    low_hz: float = _amount(5.0, "Hz", "Lowest drive frequency of search and tracking.")
+    high_hz: float = _amount(20.0, "Hz", "Highest drive frequency of search and tracking.")
+    step_hz: float = _amount(0.2, "Hz", "Step of the drive frequency in the coarse search.")
+    seek_s: float = _amount(1.5, "s", "Rig time at each frequency of the coarse search.")
+    sample_s: float = _amount(0.5, "s", "Rig time between two corrections of the frequency during tracking.")
+    time_constant_s: float = _amount(
+        3.0, "s", "Time constant of these corrections; it must be longer than the structure takes to respond."
+    )
+    seek_limit_s: float = _amount(60.0, "s", "Rig time after which the run is aborted if it has not locked yet.")
+    lose_limit_s: float = _amount(20.0, "s", "Rig time without a lock, after the first one, that aborts the run.")
     superior_limit_m: float = superior_limit_field()
 
     def __attrs_post_init__(self) -> None:

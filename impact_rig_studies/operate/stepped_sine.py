@@ -11,17 +11,18 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Stepped sine, optionally with a held amplitude: the next setpoint, as a pure state machine called by `operator`.
+"""Stepped sine, optionally with a controlled amplitude: a state machine that decides the next setpoint of the drive.
 
     idle ── start ──► running ── all points measured ──► finished
-                         └────── rule broken ──────────► aborted
+                         └── time limit, other command, failed measurement, stop ──► aborted
 
-It receives what an operator sees (accepted commands, measurements, the time) and answers with the next setpoint. The
-last setpoint of a sweep, finished or aborted, always sets the current to zero.
+It has no access to a rig. `operator` passes events of the rig to it (accepted commands, measurements, the time), and it
+answers with the next setpoint. The last setpoint of a sweep, finished or aborted, always sets the current to zero.
 
-`ControlledSine` holds an amplitude: at each point it measures the settled response, compares, corrects the current by
-the slope of the last two measurements (in logarithms; initially 1, which is exact for a linear rig) and measures again.
-The held quantity is a reading of the instruments.
+`ControlledSine` controls an amplitude: of the current, or of the inferior or superior base. At each point it measures
+the settled response, compares it with the target, corrects the current and measures again. A correction uses the slope
+of the last two measurements in logarithms; initially it is 1, which is exact for a linear rig. The amplitude is that of
+the instruments.
 """
 
 from __future__ import annotations
@@ -43,20 +44,26 @@ from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
 
 @attrs.frozen
 class Setpoint:
-    """Setpoint of the drive: frequency [Hz] and peak current [A]."""
+    """Setpoint of the drive, to which it is to be set."""
 
     frequency_hz: float
-    current_a: float
+    current_a: float  # peak current [A] (m or V by `drive.kind`)
 
 
 SAME = 1e-9  # relative difference up to which two frequencies or currents are equal
 
 PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBRATION_CHANGED, Status.NO_FREQUENCY})
-"""Statuses that only report that a change was applied."""
+"""Statuses of a measurement that only report that a change was applied; such a row is ignored."""
 
 
 def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return rows as rows of `blocks.SWEEP`; columns that they lack are NaN, 0 or empty."""
+    """Convert rows of a measurement to rows of `blocks.SWEEP`, the columns of a sweep's file and topic.
+
+    Columns that the rows lack are NaN, 0 or empty.
+
+    Args:
+        rows: structured array with some of these columns, shape (n,).
+    """
     found = np.zeros(len(rows), SWEEP)
     for name in set(SWEEP.names or ()) - {"waited"}:  # which cannot be NaN
         if SWEEP[name].kind == "f":
@@ -66,7 +73,7 @@ def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 class SweepState(enum.StrEnum):
-    """State of a sweep."""
+    """State of a sweep or phase lock: finished means complete; aborted means ended early, with a reason."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -75,12 +82,18 @@ class SweepState(enum.StrEnum):
 
 
 class SteppedSine:
-    """State machine of a stepped sweep.
+    """State machine of a stepped sine: one frequency after the other at a constant commanded current.
+
+    Each `on_…` method processes one kind of event of the rig and returns the next setpoint of the drive, or None if
+    the drive stays as it is. Times are rig times [ns].
+
+    Args:
+        plan: points and limits of the sweep.
 
     Attributes:
         state: state of the sweep.
-        reason: why it was aborted; empty otherwise.
-        skipped: skipped frequencies [Hz].
+        reason: reason why the sweep was aborted; empty otherwise.
+        skipped: frequencies that were skipped because a sensor was over range [Hz].
     """
 
     def __init__(self, plan: SweepPlan) -> None:
@@ -91,53 +104,60 @@ class SteppedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """Curve so far: rows of `transmissibility/table` in the order of measurement, `time` from the start."""
+        """Accepted measurements so far: rows of `transmissibility/table` in the order of measurement.
+
+        The column `time` is the rig time since the start of the sweep [s].
+        """
         return np.concatenate(self._rows) if self._rows else np.zeros(0, dtype=TRANSMISSIBILITY)
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the curve from a row on: rows of `blocks.SWEEP`."""
+        """Return the accepted measurements from the one with index `first` on, as rows of `blocks.SWEEP`."""
         return sweep_rows(self.rows[first:])
 
     @property
     def measured(self) -> int:
-        """Number of rows of the curve so far."""
+        """Number of accepted measurements so far."""
         return len(self._rows)
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Number of completed points, and of all points."""
+        """Number of completed points, and number of all points of the sweep."""
         return self._at, len(self._points)
 
     def describe(self) -> str:
-        """Return a readable description of the state."""
+        """Return the progress of a running or finished sweep as text for the user, such as "point 3 of 10: 8.5 Hz"."""
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
         return running if self.state is SweepState.RUNNING else f"finished, {count} points"
 
     def figures(self) -> dict[str, object]:
-        """Return the progress for programs."""
+        """Return the progress by key for the diagnostics of a node."""
         done, count = self.progress
         return {"points_done": done, "points": count, "frequency_hz": self.frequency_hz, "skipped": self.skipped}
 
     @property
     def frequency_hz(self) -> float:
-        """Frequency of the present point, or of the last one."""
+        """Frequency of the present point, or of the last point if the sweep has finished."""
         return self._points[min(self._at, len(self._points) - 1)]
 
     @property
     def current_a(self) -> float:
-        """Current of the present point."""
+        """Commanded peak current [A] of the present point."""
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start, or start again from the first point."""
+        """Start the sweep, or start it again without its measurements; return the setpoint of the first point."""
         self._reset()
         self._start_ns = now_ns
         self.state = SweepState.RUNNING
         return self._go(now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
-        """Process an accepted change of the drive; a change by another client aborts the sweep."""
+        """Process a change of the drive that the rig has accepted at a rig time.
+
+        If it is the requested setpoint, the wait for a measurement begins. A different setpoint after that is one of
+        another client, and aborts the sweep.
+        """
         if self.state is not SweepState.RUNNING:
             return None
         ours = math.isclose(frequency_hz, self.frequency_hz, rel_tol=SAME)
@@ -151,7 +171,11 @@ class SteppedSine:
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Process a row of `transmissibility/table`; rows of other frequencies are ignored."""
+        """Process a row of `transmissibility/table`; return the next setpoint if the point is complete.
+
+        A settled measurement is accepted. Too many failed ones abort the sweep, or skip the point. Rows at another
+        frequency are ignored.
+        """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
         ):
@@ -176,7 +200,10 @@ class SteppedSine:
         if status is Status.OVER_RANGE and self._plan.skip_over_range:
             self.skipped.append(self.frequency_hz)
             return self._next(now_ns)
-        return self._abort(f"{status.value} at {self.frequency_hz:g} Hz, {self._failures} times")
+        return self._abort(
+            f"the measurement at {self.frequency_hz:g} Hz failed {self._failures} times, the last one with status "
+            f"{status.value}"
+        )
 
     def on_scans(self, table: Table) -> Setpoint | None:
         """Ignore scans: a sweep uses the measurements of the analysis."""
@@ -184,7 +211,7 @@ class SteppedSine:
         return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the rig time; abort if a point takes too long."""
+        """Process the present rig time: abort if a command is not accepted, or a point not measured, in time."""
         if self.state is not SweepState.RUNNING:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
@@ -195,7 +222,13 @@ class SteppedSine:
         return None
 
     def abort(self, reason: str) -> Setpoint | None:
-        """End a running sweep, because the rig tripped or the operator requests it."""
+        """End a running sweep as aborted because of an event outside of it, such as a trip of the rig.
+
+        Returns the setpoint with zero current, or None if the sweep is not running.
+
+        Args:
+            reason: reason for the user, which becomes `reason`.
+        """
         return self._abort(reason) if self.state is SweepState.RUNNING else None
 
     def _reset(self) -> None:
@@ -214,7 +247,10 @@ class SteppedSine:
         return Setpoint(self.frequency_hz, self.current_a)
 
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Return a new setpoint if this measurement is not acceptable, or None if it is."""
+        """Return a corrected setpoint if a measured response is too far from a target, or None to accept it.
+
+        A stepped sine without control accepts every response; `ControlledSine` overrides this.
+        """
         del row, now_ns
         return None
 
@@ -239,16 +275,17 @@ COLUMN: Mapping[str, str] = {
     Hold.BASE: "base_amplitude",
     Hold.SUPERIOR: "laser_amplitude",
 }
-"""Column of `transmissibility/table` for each quantity."""
-LARGEST_STEP = 3.0  # largest factor of a single change of the current
+"""Column of `transmissibility/table` that contains each quantity that can be controlled."""
+LARGEST_STEP = 3.0  # largest factor by which one correction changes the current, either way
 SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction uses
 
 
 class ControlledSine(SteppedSine):
-    """State machine of a stepped sweep with a held amplitude.
+    """State machine of a stepped sine whose current is corrected until a measured amplitude is that of a target.
 
     Args:
-        plan: plan of the points; its current is the initial value of the first one.
+        plan: points and limits of the sweep; its current is the initial value at the first point.
+        hold: controlled quantity, its target and limits.
     """
 
     def __init__(self, plan: SweepPlan, hold: HoldPlan) -> None:
@@ -258,12 +295,12 @@ class ControlledSine(SteppedSine):
 
     @property
     def current_a(self) -> float:
-        """Current of the present attempt."""
+        """Commanded peak current [A] of the present attempt at the present point."""
         return self._current_a
 
     @property
     def controlled(self) -> NDArray[np.void]:
-        """The curve so far with target, error and corrections: rows of `blocks.SWEEP`."""
+        """Accepted measurements so far as rows of `blocks.SWEEP`, with target, relative error and corrections."""
         rows = self.rows
         found = sweep_rows(rows)
         found["target"], found["corrections"] = self._hold.target, self._tries[: len(rows)]
@@ -272,7 +309,7 @@ class ControlledSine(SteppedSine):
         return found
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
-        """Return the curve from a row on: rows of `blocks.SWEEP`."""
+        """Return the accepted measurements from the one with index `first` on, as rows of `blocks.SWEEP`."""
         return self.controlled[first:]
 
     def _reset(self) -> None:
@@ -283,7 +320,7 @@ class ControlledSine(SteppedSine):
         self._before: tuple[float, float] | None = None  # logarithms of current and amplitude at this point
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Process a row of `transmissibility/table`; a row of an earlier current is ignored."""
+        """Process a row of `transmissibility/table` like `SteppedSine`; rows before the last correction are ignored."""
         if self._accepted and now_ns >= self._since_ns:
             return super().on_measurement(row, now_ns)
         return None
@@ -291,7 +328,10 @@ class ControlledSine(SteppedSine):
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
         superior, reached = float(row["laser_amplitude"]), float(row[COLUMN[self._hold.hold]])
         if superior > self._hold.superior_limit_m:
-            return self._abort(f"the superior base swings {superior * 1e3:.3g} mm at {self.frequency_hz:g} Hz")
+            return self._abort(
+                f"the superior base swings {superior * 1e3:.3g} mm at {self.frequency_hz:g} Hz, more than the limit of "
+                f"{self._hold.superior_limit_m * 1e3:g} mm (superior_limit_m)"
+            )
         close = abs(reached / self._hold.target - 1.0) <= self._hold.tolerance
         if close or self._taken or self._corrected >= self._hold.corrections or not reached > 0.0:
             self._tries.append(self._corrected)
@@ -299,7 +339,10 @@ class ControlledSine(SteppedSine):
         wanted = self._corrected_current(reached)
         if wanted > self._hold.current_limit_a:
             limit = self._hold.current_limit_a
-            return self._abort(f"{self.frequency_hz:g} Hz needs {wanted:.3g} A, more than the limit of {limit:g} A")
+            return self._abort(
+                f"the target amplitude at {self.frequency_hz:g} Hz needs {wanted:.3g} A peak, more than the limit of "
+                f"{limit:g} A (current_limit_a)"
+            )
         self._current_a = wanted
         self._corrected += 1
         return self._go(now_ns)

@@ -91,7 +91,7 @@ def test_refused_measurements_are_borne_so_often(status):
     assert one.on_measurement(row(8.0, status), 2 * S) is None
     assert one.on_measurement(row(8.0, status), 3 * S) == Setpoint(8.0, 0.0)
     assert one.state is SweepState.ABORTED
-    assert one.reason == f"{status} at 8 Hz, 3 times"
+    assert one.reason == f"the measurement at 8 Hz failed 3 times, the last one with status {status}"
 
 
 @pytest.mark.parametrize("skip", [True, False])
