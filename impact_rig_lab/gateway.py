@@ -11,13 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Connection to one rig of the graph: subscriptions, and the actions requested by pages, in one event loop.
+"""Connection of the lab to one running rig over ROS: its subscriptions, and the actions that pages request.
 
-Actions are coroutines of that loop: STOP is sent even while another action waits. An action belongs to the activation
-of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later one.
+Actions are coroutines of one event loop: STOP is sent even while another action waits. An action belongs to the
+activation of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later
+rig.
 
-Blocks and joint states arrive hundreds of times per second, without waking the loop for each. The drawing code takes
-their bytes in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
+Blocks of scans and joint states arrive hundreds of times per second. They do not wake the loop each time: `take`
+fetches them in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
 """
 
 from __future__ import annotations
@@ -58,33 +59,38 @@ from impact_rig_lab.state import DEAD_S, Answer, Seen
 ANSWER_S = 30.0  # time limit of an answer: a busy machine answers late, and the control stays pending until then
 TOLD_S = 1.5  # time limit within which diagnostics must report an action of the rig
 ECHO_S = 5.0  # time limit within which an accepted parameter must be reported as active
-START_S = 60.0
+START_S = 60.0  # time limit within which a started node must report for the first time
 AGAIN_S, ATTEMPTS = 0.5, 20  # interval and number of requests to a node that has just been started
-MOST_FAULTS = 16
-SWEEPER = "stepped_sine"
+MOST_FAULTS = 16  # largest number of planned faults; the oldest are dropped for a new one
+SWEEPER = "stepped_sine"  # name of the node that makes sweeps
 PROGRAMS = {SWEEPER: "impact_rig_studies"}
-"""Modules that run a node of another package, by node."""
+"""Python packages that contain the program of a node, for nodes that are not part of `impact_rig`."""
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
-"""Requests that belong to no activation of the rig: those that make the rig safe, and those that do not concern it."""
+"""Requests that are run for any rig, also if it has restarted since the page showed it.
+
+They make the rig safe, or do not concern it.
+"""
 COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
-"""Commands, and the columns of `shaker/applied` that confirm them."""
+"""Topics of the commands; the request of a command is also the column of `shaker/applied` that confirms it."""
 TRIGGERS = {"reset": "rig/reset", "clear_trip": "rig/clear_trip", "sweep_stop": f"{SWEEPER}/stop"}
+"""Requests that only call a service without arguments, and the service of each."""
 PARAMETERS = {
     "start": ("sphere.start", "sphere at {}"),
     "law": ("contact.law", "law {}"),
     "restitution": ("contact.restitution", "restitution {:g}"),
 }
-"""Requests that set one parameter of the rig, and their answers."""
+"""Requests that set one parameter of the rig: its name, and the text of the answer on success."""
 PREPARED = (*TRIGGERS.values(), f"{SWEEPER}/start", "rig/stop", "rig/pluck", "recorder/start", "recorder/stop")
-"""Services whose clients are created early, so that they are discovered by the time they are used."""
+"""Services whose clients are created at the start, because ROS needs time to discover a service."""
 KEPT = (
     topics.INFO, topics.APPLIED, topics.JOURNAL, topics.FAULTS, topics.TRANSMISSIBILITY_TABLE, topics.CONFIGURATION,
     topics.NOTES,
 )  # fmt: skip
-"""Rare topics, of which no message may be lost."""
+"""Topics with rare messages, none of which may be lost; the lab subscribes to them all the time."""
 SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
-TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # drawn topics; commands that act on a scan are processed before it
-MOST_PER_LOOK = 300  # maximum number of messages processed per topic at once, so that pictures are drawn in between
+"""Topics that are drawn as scans, in the order of processing: commanded samples before the scans they act on."""
+TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # topics that are drawn as true motion
+MOST_PER_LOOK = 300  # largest number of messages processed per topic at once, so that pictures are drawn in between
 PICTURES = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
@@ -92,11 +98,16 @@ PICTURES = QoSProfile(
 
 
 class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an internal error
-    """Rejection of a request; its message is shown on the page."""
+    """Rejection or failure of a request of a page; the page shows the message to the user."""
 
 
 class OwnedProcesses:
-    """Nodes started by the lab itself."""
+    """Node processes that the lab starts itself, and restarts on request of a page.
+
+    Args:
+        processes: the processes (`Processes`).
+        parameters: ROS parameters of each node, by node and name.
+    """
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         self.processes, self.parameters = processes, parameters
@@ -105,16 +116,20 @@ class OwnedProcesses:
         self._starter.submit(time.monotonic).result()
 
     def start(self, node: str) -> None:
-        """Start a node."""
+        """Start the process of a node with its parameters, and wait until it is created.
+
+        Args:
+            node: name of the node, such as "rig".
+        """
         program, parameters = PROGRAMS.get(node, node), self.parameters.get(node, {})
         self._starter.submit(self.processes.start, program, parameters, name=node).result()
 
     def close(self) -> None:
-        """Start no further nodes."""
+        """End the thread that starts nodes, so that no further node is started; running nodes continue."""
         self._starter.shutdown()
 
     def ended(self, node: str) -> str:
-        """Return how the process of a node has ended; empty if it is running, or was not started by the lab."""
+        """Return a text on how the process of a node has ended; empty if it is running, or the lab did not start it."""
         process = self.processes.running.get(node)
         code = None if process is None else process.exit_code
         return "" if code is None else f"its process ended with code {code}"
@@ -122,18 +137,23 @@ class OwnedProcesses:
 
 @attrs.define(eq=False)
 class _Running:
-    """Action in progress."""
+    """Action in progress, which a page has requested."""
 
-    answer: Answer
-    instance: str | None
-    task: asyncio.Task[str]
-    why: str = ""
+    answer: Answer  # function that reports the result to the page
+    instance: str | None  # activation of the rig for which it was requested; None if it is one of `FREE`
+    task: asyncio.Task[str]  # task that runs the action
+    why: str = ""  # reason for the page if the task is cancelled
 
 
 class Gateway:
-    """Subscriptions to one rig and actions on it, in the event loop that creates it.
+    """Connection of the lab to one rig: it passes the rig's messages to `record`, and runs the actions of pages.
 
-    Without `own`, no nodes can be started.
+    It belongs to the event loop in which it is created.
+
+    Args:
+        client: ROS client in the namespace of the rig.
+        record: state of the rig, which receives the messages.
+        own: nodes that the lab starts itself; None means that no node can be started.
     """
 
     def __init__(self, client: Client, record: RigView, own: OwnedProcesses | None) -> None:
@@ -162,7 +182,11 @@ class Gateway:
         self._samples: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
-        """Cancel all actions in progress, and unsubscribe from all topics."""
+        """Cancel all actions in progress, and unsubscribe from scans and motion.
+
+        Args:
+            why: reason that the pages of these actions receive.
+        """
         self.end(why)
         await asyncio.sleep(0)
         self._view.destroy_node()
@@ -170,7 +194,12 @@ class Gateway:
     # Subscriptions
 
     def listen(self, scans: bool, motion: bool) -> None:
-        """Subscribe to scans and motion, or unsubscribe; without `motion`, drop the known motion."""
+        """Subscribe to the topics that are drawn, or unsubscribe from them.
+
+        Args:
+            scans: whether to receive scans and detected impacts.
+            motion: whether to receive the true motion as well; if not, the motion received so far is forgotten.
+        """
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._samples.keys() - wanted:
             self._view.destroy_subscription(self._samples.pop(topic))
@@ -182,7 +211,10 @@ class Gateway:
             self._samples[topic] = self._view.create_subscription(kind, topic.name, never, PICTURES, raw=True)
 
     def take(self) -> bool:
-        """Process the messages received since the last call; return whether there were any."""
+        """Pass the scans and motion received since the last call to the record; return whether there were any.
+
+        They are dropped while scan 0 of a new rig is unknown.
+        """
         received = False
         for topic, subscription in self._samples.items():
             found = list(itertools.islice(take_messages(subscription, raw=True), MOST_PER_LOOK))
@@ -195,7 +227,7 @@ class Gateway:
         return received
 
     def seen(self, node: str) -> Seen:
-        """Return the last report of a node, and its age."""
+        """Return the last report of the node `node` in the diagnostics, with its age, and how its process has ended."""
         status = self.client.diagnostics.get(node)
         ended = self._own.ended(node) if self._own is not None else ""
         if status is None:
@@ -208,13 +240,20 @@ class Gateway:
     # Actions
 
     def begin(self, request: Request, answer: Answer) -> None:
-        """Start an action; reject it at once if its rig is gone."""
+        """Start the action that a page requests, or reject it at once if its rig is gone.
+
+        An emergency stop cancels all other actions on the rig.
+
+        Args:
+            request: the request.
+            answer: function that reports the result to the page, at once or when the action has ended.
+        """
         action = self._actions.get(request.do)
         instance = None
         if request.do not in FREE:
             instance = self.seen("rig").instance if request.rig is None else request.rig
         if action is None:
-            answer(False, f"{request.do}: a live rig cannot do that")
+            answer(False, f"{request.do}: a live rig cannot do that, only a recorded run")
         elif why := self._gone(instance):
             answer(False, f"{why}: not sent")
         else:
@@ -225,7 +264,7 @@ class Gateway:
             running.task.add_done_callback(lambda _task: self._done(running))
 
     def _done(self, running: _Running) -> None:
-        """Report the result of an action to the page."""
+        """Report the result of an ended action to its page: success, failure or reason of the cancellation."""
         self._running.discard(running)
         error = None if running.task.cancelled() else running.task.exception()
         if running.task.cancelled():
@@ -237,17 +276,22 @@ class Gateway:
 
     @property
     def is_busy(self) -> bool:
-        """Return whether an action is in progress."""
+        """Return whether any action of a page is in progress."""
         return bool(self._running)
 
     def watch(self) -> None:
-        """Reject the actions that wait for a rig that is gone."""
+        """Cancel the actions in progress whose rig is gone, so that their pages get an answer."""
         for running in list(self._running):
             if why := self._gone(running.instance):
                 self._break_off(running, f"{why}: it did not accept this")
 
     def end(self, why: str, *, bound: bool = False) -> None:
-        """Cancel all actions in progress, or those that belong to a rig."""
+        """Cancel actions in progress.
+
+        Args:
+            why: reason that their pages receive.
+            bound: whether to cancel only those that belong to an activation of the rig, not those of `FREE`.
+        """
         for running in list(self._running):
             if not bound or running.instance is not None:
                 self._break_off(running, why)
@@ -257,7 +301,11 @@ class Gateway:
         running.task.cancel()
 
     def _gone(self, instance: str | None) -> str:
-        """Return why the rig of an action is gone; empty if the rig exists, or if the action belongs to no rig."""
+        """Return the reason why the rig of an action is gone; empty if it is there, or the action is for any rig.
+
+        Args:
+            instance: activation of the rig for which the action was requested; None means any.
+        """
         if instance is None:
             return ""
         rig = self.seen("rig")
@@ -274,10 +322,15 @@ class Gateway:
     # Access to the graph
 
     async def until(self, check: Callable[[], Any], what: str, timeout_s: float) -> Any:
-        """Return the value of a check as soon as it is true; the check is evaluated once per turn of the loop.
+        """Wait until a condition is fulfilled, and return its value.
+
+        Args:
+            check: condition, evaluated once per turn of the event loop; any true value fulfils it.
+            what: what is waited for, for the message.
+            timeout_s: longest wait.
 
         Raises:
-            Refused: the value did not become true in time; the message names `what`.
+            Refused: the condition is not fulfilled in time; the message names `what`.
         """
         deadline = time.monotonic() + timeout_s
         while not (found := check()):
@@ -301,7 +354,11 @@ class Gateway:
         return await self._call(Trigger, name, Trigger.Request(), timeout_s)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node; when this returns, those of the rig are active."""
+        """Set parameters of a node, all or none, and wait until it accepts them; for the rig, until they are active.
+
+        Raises:
+            Refused: the node rejects them, or does not answer in time.
+        """
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
         if node == "rig":
@@ -323,7 +380,18 @@ class Gateway:
         publisher.publish(publisher.msg_type(data=value))
 
     async def _command(self, column: str, value: float) -> str:
-        """Publish a command and wait for its row in shaker/applied, or for the rejection."""
+        """Publish a command, and wait until the rig has applied it.
+
+        Args:
+            column: request, and column of `shaker/applied`: frequency or current.
+            value: commanded value [Hz or A].
+
+        Returns:
+            Answer for the page.
+
+        Raises:
+            Refused: the rig rejects the command, or does not apply it in time.
+        """
         record, topic = self.record, COMMANDS[column]
         before, refusal = record.changes, self.client.refusal(topic.name, "inactive")
         self._publish(topic, value)
@@ -342,7 +410,14 @@ class Gateway:
     # The rig
 
     async def do_stop(self) -> str:
-        """Ramp the current to zero and latch the shaker, in any state of the rig."""
+        """Request an emergency stop: the rig ramps the current to zero and latches its shaker, in any state.
+
+        Returns:
+            Answer for the page, when the rig has confirmed it.
+
+        Raises:
+            Refused: the rig is gone, or does not confirm the stop in time.
+        """
         if gone := self.seen("rig").ended:
             raise Refused(f"there is no rig to stop: {gone}")
         asked_at = time.monotonic()
@@ -360,30 +435,40 @@ class Gateway:
             raise
 
     async def do_pluck(self, value: float) -> str:
-        """Release the superior base from a displacement [m]."""
+        """Pluck the rig: it locks the inferior base, and releases the superior base from a displacement [m]."""
         await self._set("rig", {"pluck.displacement_m": value})
         return await self._trigger("rig/pluck")
 
     async def do_pause(self, value: bool) -> str:  # value of the request
-        """Stop rig time, or resume it."""
+        """Pause rig time if `value` is true, otherwise resume it."""
         return await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
 
     async def do_gap(self, value: float) -> str:
-        """Set the gap of the rig and the label of the analysis together [m]; 0 removes the sphere."""
+        """Set the gap of the rig [m], and the same gap as label of the analysis; 0 removes the sphere."""
         if value < 0.0:
-            raise Refused(f"a gap must be 0 (no sphere) or more, got {value * 1e3:g} mm")
+            raise Refused(f"a gap must be 0 mm (no sphere) or more, got {value * 1e3:g} mm")
         await self._set("rig", gap_values(value))
         return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
-        """Send the gap to the analysis as its label; return a remark to add to the answer."""
+        """Set the gap [m] as the label with which the analysis marks its measurements.
+
+        Returns an addition to the answer for the page: empty, or that no analysis is running.
+        """
         if not self.seen("analysis").lives:
-            return "; no analysis is running to be labelled"
+            return "; no analysis is running, so that no measurement is labelled with this gap"
         await self._set("analysis", {"gap_m": gap_m})
         return ""
 
     async def do_load(self, value: str) -> str:
-        """Apply a ROS 2 parameter file: all its differences from the present values, or nothing."""
+        """Apply a configuration: set all parameters of the rig that differ from it, all at once or none.
+
+        Values that are missing in the file become defaults. Values that cannot change while the rig runs are left out,
+        and named in the answer.
+
+        Args:
+            value: content of a ROS 2 parameter file.
+        """
         wanted = to_flat(from_flat(RigConfig(), parameters_in(value)))
         present = to_flat(from_flat(RigConfig(), self.record.knobs))
         changes = {name: found for name, found in wanted.items() if found != present[name]}
@@ -397,23 +482,38 @@ class Gateway:
         return f"{words}; fixed while the rig runs: {', '.join(fixed)}" if fixed else words
 
     async def do_fault(self, kind: str, channel: str, value: float, duration: float, rate: float) -> str:
-        """Add a line to the planned faults, so that a new fault starts now."""
+        """Start a simulated instrument fault now, by adding it to the planned faults of the rig.
+
+        Args:
+            kind: kind of fault, a key of `FAULT_KINDS`.
+            channel: channel that it affects; empty for the whole board.
+            value: its size in SI units, if the kind has one.
+            duration: its duration [s of rig time].
+            rate: its rate [Hz], if the kind has one.
+        """
         if kind not in FAULT_KINDS:
-            raise Refused(f"unknown kind of fault {kind!r}")
+            raise Refused(f"unknown kind of fault {kind!r}, known: {', '.join(FAULT_KINDS)}")
         added = fault_line(kind, channel, duration_s=duration, value=value, rate_hz=rate)
         lines = [line for line in self.record.knobs.get(PLANNED) or () if line][-(MOST_FAULTS - 1) :]
         await self._set("rig", {PLANNED: [*lines, added]})
         return f"fault: {added}"
 
     async def do_clear_faults(self) -> str:
-        """End every fault."""
+        """End all simulated instrument faults, present and planned."""
         await self._set("rig", {PLANNED: [""]})
         return "faults cleared"
 
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine; start its node first if it is absent."""
+        """Start a stepped sine or phase lock on the rig; start its node first if it is absent.
+
+        Args:
+            frequencies: frequencies of the points [Hz].
+            direction: up, down or up_down.
+            hold: constant quantity: command, current, base, superior or phase.
+            target: amplitude to which current, base or superior is controlled [A or m].
+        """
         was_there = self.seen(SWEEPER).lives
         if not was_there:
             self._start(SWEEPER)
@@ -435,7 +535,11 @@ class Gateway:
             await asyncio.sleep(AGAIN_S)
 
     async def do_note(self, value: str) -> str:
-        """Record a remark."""
+        """Publish a remark of the operator, so that it is recorded with the run and shown on the pages.
+
+        Raises:
+            Refused: the remark is empty, or no recorder is running.
+        """
         recorder = self.seen("recorder")
         if not value.strip():
             raise Refused("a remark must not be empty")
@@ -452,27 +556,36 @@ class Gateway:
         return "noted" if records else "shown on the page; no recording is running"
 
     async def do_record(self, value: bool) -> str:  # value of the request
-        """Start or stop a recording."""
+        """Start a new recording if `value` is true, otherwise stop the present one."""
         return await self._trigger("recorder/start" if value else "recorder/stop", 20.0)
 
     async def do_recover(self) -> str:
-        """Recover the last recording."""
+        """Recover the last recording of a recorder that has died, into a directory of its own next to the recording.
+
+        Raises:
+            Refused: the recorder is running, or no recording is known.
+        """
         recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")
-        if recorder.lives or not directory:
+        if recorder.lives:
             raise Refused("the recorder is running: nothing to recover")
+        if not directory:
+            raise Refused("the recorder has reported no recording: nothing to recover")
         target = Path(f"{directory}_recovered")
         report = await asyncio.to_thread(recover, directory, target)
         return f"recovered into {report.out.name if hasattr(report, 'out') else target.name}"
 
     async def do_restart(self) -> str:
-        """Restart the nodes that have ended. A new rig is at rest, and the analysis receives its gap as label."""
+        """Restart those nodes of this lab whose processes have ended, and label the analysis with the gap of the rig.
+
+        A restarted rig is at rest and has its initial configuration.
+        """
         own = self._own
         if own is None:
             raise Refused("this lab did not start the rig: restart it where it was started")
         ended = [name for name in own.processes.running if own.ended(name)]
         if not ended:
-            raise Refused("all processes are running")
+            raise Refused("all processes are running: there is none to restart")
         if "rig" in ended:
             self.record.knobs, self.record.configuration = {}, ""
         for name in ended:
@@ -484,10 +597,15 @@ class Gateway:
         return f"restarted: {', '.join(ended)}"
 
     def _start(self, node: str) -> None:
-        """Start a node of this lab, and drop the last report of its previous process."""
+        """Start or restart a node of this lab, and forget the last report of its previous process.
+
+        Raises:
+            Refused: this lab does not start nodes.
+        """
         if self._own is None:
             raise Refused(
-                f"the node {node} is not running: start it in the rig's namespace (ros2 run impact_rig {node}_node)"
+                f"the node {node} is not running, and this lab starts no nodes: start it in the rig's namespace "
+                f"(ros2 run impact_rig {node}_node)"
             )
         if node in self._own.processes.running:
             self._own.processes.stop(node)

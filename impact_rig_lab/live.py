@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Live source: a client of the graph in one event loop; it fills ring buffers and snapshot, and runs actions of pages.
+"""Live source of the page: a ROS client that receives the messages of a running rig and runs the requests of pages.
 
-The loop waits for the graph, processes data when a picture is due, and never waits for an answer. STOP is sent even if
-a service hangs or an invalid message arrives.
+One event loop does everything: it waits for ROS, processes data when a picture is due, and never waits for an answer of
+a node. Therefore STOP is sent even if a service hangs or an invalid message arrives.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 POLL_S = 0.02  # interval between two checks for data while a page is open
 FAST_RIG_POLL_S = 0.5  # the same while rig time runs faster than real time
 SUBSCRIBE_S, PAUSE_S = 0.1, 1.4
-"""Durations of receiving and of not receiving scans, alternately, if the rig is too fast to follow."""
-TURN_S = 0.05  # longest turn of the loop while a page is open, because it delays the requests of the page
-IDLE_S = 0.2
+"""Durations [s] of receiving scans and of not receiving them, in turn, if the rig is too fast to draw all of them."""
+TURN_S = 0.05  # longest wait of the loop while a page is open, because it delays the requests of the page
+IDLE_S = 0.2  # interval between two checks for data while no page is open
 LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
 STATE_S = 0.1  # interval between two state updates of the page
 SLOW_S = 0.5  # the same while rig time runs faster than real time, and without an open page
@@ -53,11 +53,15 @@ SLOWEST_S = 1.0  # the same if the rig is too fast to follow
 
 
 class LiveSource(Source):
-    """Rig of the graph.
+    """Source of pages that show and control a running rig over ROS.
 
     Args:
-        namespace: namespace of the rig; None searches for one.
-        own: nodes that the lab may start; None means that other programs run the rig.
+        domain_id: ROS domain of the rig.
+        namespace: namespace of the rig; None searches for one, and lets the page choose if there are several.
+        own: nodes that the lab starts itself; None means that other programs run the rig.
+
+    Attributes:
+        directory: directory of the newest recording, or None.
     """
 
     def __init__(self, domain_id: int, namespace: str | None, own: OwnedProcesses | None = None) -> None:
@@ -73,11 +77,11 @@ class LiveSource(Source):
 
     @property
     def now_s(self) -> float:
-        """End of the newest scan."""
+        """Time of the end of the newest scan [s since scan 0]; 0 before the first one."""
         return self.record.scope.end_s if self.record.scope is not None else 0.0
 
     def close(self) -> None:
-        """Stop serving, and remove the lab's own node from the graph."""
+        """End the thread of the source and its ROS client, and start no further nodes."""
         super().close()
         if self._own is not None:
             self._own.close()
@@ -113,7 +117,7 @@ class LiveSource(Source):
                 self._client.close()
 
     async def _serve(self) -> None:
-        """Wait for the graph until the next check is due, repeatedly."""
+        """Serve one rig, or search for one, until the end of the source or until a page chooses another namespace."""
         look_at = state_at = slow_at = 0.0
         namespace = self._namespace
         while not self.end.is_set() and self._namespace == namespace:
@@ -135,9 +139,9 @@ class LiveSource(Source):
             await asyncio.sleep(0)  # lets every action check its condition
 
     def _poll(self) -> None:
-        """Process new messages.
+        """Process new messages of scans and motion, and subscribe to them only as far as they can be drawn.
 
-        If the rig is too fast to follow, most messages are not even sent, which also relieves the rig.
+        If rig time runs too fast, the subscription pauses most of the time, which also relieves the rig.
         """
         if self._gateway is None:
             return
@@ -166,11 +170,11 @@ class LiveSource(Source):
                 name = request.values["value"]
                 known = name in (self.snapshot.get("rigs") or ())
                 self._namespace = name if known else self._namespace
-                answer(known, f"looking at {name}" if known else f"there is no rig {name!r}")
+                answer(known, f"showing the rig {name}" if known else f"there is no rig in the namespace {name!r}")
             elif self._gateway is not None:
                 self._gateway.begin(request, answer)
             else:
-                answer(False, "there is no rig yet")
+                answer(False, "there is no rig yet; nothing was sent")
         if self._gateway is not None:
             self._gateway.watch()
 
@@ -191,7 +195,7 @@ class LiveSource(Source):
     # State for the page
 
     def _tell(self) -> None:
-        """Update the snapshot."""
+        """Update the snapshot, from which pages get the state of the rig, from the newest reports and messages."""
         gateway, record = self._gateway, self.record
         if gateway is None:
             return
@@ -202,7 +206,7 @@ class LiveSource(Source):
         record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
-            doubts = ["the doubts about it could not be determined"]
+            doubts = ["the lab could not determine whether it applies"]
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
             "rig": lambda: self._rig(seen, doubts),
@@ -253,17 +257,23 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Return whether a rig exists that has not started yet: then all known data belong to the previous rig."""
+    """Return whether a rig is there whose time has not started yet: then all known data belong to the previous rig."""
     return rig.lives and "rig_time_s" not in rig.figures
 
 
 def _stamp(text: str) -> int:
-    """Return a stamp of the diagnostics [ns], or 0 if it is invalid."""
+    """Convert a stamp in the diagnostics to an integer [ns]; 0 if it is missing or not a number."""
     return int(text) if re.fullmatch("[0-9]{1,19}", text) else 0
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
-    """Return the losses and where they occurred, as text; None if no node counts them now."""
+    """Return the numbers of lost blocks and scans, by a text for the page that says where they were lost.
+
+    Losses of zero are left out. The result is None if no node reports any count now.
+
+    Args:
+        seen: last report of each node.
+    """
     found = {
         "blocks withheld by a fault": seen["rig"].figures.get("lost_blocks"),
         "scans missed by the analysis": seen["analysis"].figures.get("lost_scans"),

@@ -11,9 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Recorded runs on the page: one, or two side by side, each played into ring buffers, with its rare messages as marks.
+"""Playback of recorded runs on the page: one run, or two side by side.
 
-Only recorded facts are shown: a measurement counts only until the next change. An invalid message has no other effect.
+A player passes the messages of a run to the same record as a live rig, in the pace of the page. The rare messages
+(journal, measurements, faults, impacts, remarks) of the whole run are read first, in a thread: the page shows them as
+marks on its time line, and the state at any time follows from them. Only recorded facts are shown: a measurement counts
+only until the next change. An invalid message is counted and has no other effect.
 """
 
 from __future__ import annotations
@@ -50,33 +53,35 @@ RARE = (
     topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
     topics.SCAN,
 )  # fmt: skip
-"""Topics that become marks."""
-MOST_FILLED = 250_000  # maximum number of scans read before the time of a jump
-BINS = 400
-TICK_S = 0.025
-TELL_S = 0.1
-MARKS_S = 1.0
+"""Topics that are read through the whole run for marks and past states; scans only to find missing blocks."""
+MOST_FILLED = 250_000  # largest number of scans before the new time that are read at a jump
+BINS = 400  # number of equal parts of a run in which impacts are counted
+TICK_S = 0.025  # interval between two turns of the player's loop
+TELL_S = 0.1  # interval between two updates of the state
+MARKS_S = 1.0  # interval between two updates of the counted impacts
 IMPACT_MARGIN_S = 0.05  # time between the impact of a jump and the end of the picture
-AT_REST = {"frequency": 0.0, "current": 0.0}
+AT_REST = {"frequency": 0.0, "current": 0.0}  # drive before the first recorded change
 
 
 @attrs.frozen
 class Instant:
-    """State of a rig at a time, according to the recording."""
+    """State of a recorded rig at one time, according to the recording."""
 
-    values: Mapping[str, Any]
-    applied: Mapping[str, float]
-    latched: str  # reason why the shaker was latched; empty if it was free
-    plucked: bool  # whether the base was locked
-    changed_ns: int  # time of the last change of these values
+    values: Mapping[str, Any]  # parameters of the rig by name
+    applied: Mapping[str, float]  # drive: frequency [Hz] and peak current [A]
+    latched: str  # reason why the shaker was latched; empty if it was not
+    plucked: bool  # whether the inferior base was locked after a pluck
+    changed_ns: int  # rig time of the last change of parameters or drive before
 
 
 class RunPlayer:
-    """Player of one run.
+    """Player of one recorded run: it passes the messages up to the shown time to its record, and reads all marks.
+
+    Times of the page are seconds since scan 0 of the first run; `offset_s` converts them for a second run.
 
     Args:
         path: a run directory or an MCAP file; a truncated one is first recovered into a temporary directory.
-        rig: namespace of the rig to show; None: the only one in the recording.
+        rig: namespace of the rig to show; None means the only one in the recording.
 
     Raises:
         RecordingError: the run contains no intact message, no scans, or an impossible calibration.
@@ -85,7 +90,7 @@ class RunPlayer:
     def __init__(self, path: Path, rig: str | None = None) -> None:
         self.path, self._rig = path, rig
         self.recovered = False
-        self.offset_s = 0.0  # offset to add to the time of the page to get the time of this run [s]
+        self.offset_s = 0.0  # offset to add to a time of the page to get the time since scan 0 of this run [s]
         self._stack = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
             self._run = stack.enter_context(self._open(path, stack))
@@ -93,7 +98,7 @@ class RunPlayer:
             self._topics = {name: topic for name, topic in known.items() if name in self._run.topics}
             info = next(self._messages([topics.INFO]), None)
             if info is None:
-                raise RecordingError(f"{path} has no calibration (daq/info)")
+                raise RecordingError(f"{path} contains no calibration (daq/info), so that its scans cannot be shown")
             try:
                 calibration = codec.decode(info.data, topics.INFO)
                 self.rate_hz, self.start_ns = scan_rate(calibration), start_ns(calibration)
@@ -101,14 +106,14 @@ class RunPlayer:
                 raise RecordingError(f"{path}: {error}") from error
             first = next(self._messages([topics.SCAN]), None)
             if first is None:
-                raise RecordingError(f"{path} holds no scans")
+                raise RecordingError(f"{path} contains no scans (daq/scan): nothing to show")
             self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
             self.start_ns = min(self.start_ns, self.begin_ns)
             self._stack = stack.pop_all()
         self.record = RigView(most=None)
         self.record.scope, self.record.start_ns = Scope(self.rate_hz), self.start_ns
-        self.read_s = 0.0  # end of the marks read so far [s since scan 0]
-        self.whole = False
+        self.read_s = 0.0  # time up to which marks have been read [s since scan 0 of this run]
+        self.whole = False  # whether all marks have been read
         self._impacts: list[float] = []
         self._lost: list[tuple[int, int]] = []
         self._expected_ns = self.begin_ns
@@ -135,11 +140,11 @@ class RunPlayer:
         return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
 
     def start(self) -> None:
-        """Start to read the marks, in a thread."""
+        """Start to read the marks of the whole run, in a thread."""
         self._marker.start()
 
     def close(self) -> None:
-        """Stop reading, and close the run."""
+        """Stop reading, and close the files of the run."""
         self._end.set()
         if self._marker.is_alive():
             self._marker.join()
@@ -148,22 +153,26 @@ class RunPlayer:
 
     @property
     def begin_s(self) -> float:
-        """Time of the first scan [s since scan 0]."""
+        """Time of the first recorded scan [s since scan 0 of this run]."""
         return (self.begin_ns - self.start_ns) / NS_PER_S
 
     @property
     def end_s(self) -> float:
-        """Time of the last message."""
+        """Time of the last recorded message [s since scan 0 of this run]."""
         return (self.end_ns - self.start_ns) / NS_PER_S
 
     def instant_ns(self, page_s: float) -> int:
-        """Return the stamp of this run that corresponds to a time of the page [ns]."""
+        """Return the stamp in this run [ns] that corresponds to a time of the page [s], with the offset of this run."""
         return self.start_ns + round((page_s + self.offset_s) * NS_PER_S)
 
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Fill the ring buffers with the data before a time."""
+        """Continue playing at another time: refill the ring buffers with scans and motion before it.
+
+        Args:
+            page_s: the time of the page [s].
+        """
         self._quiet.clear()
         try:
             self._stop_reading()
@@ -178,7 +187,7 @@ class RunPlayer:
             self._quiet.set()
 
     def play(self, page_s: float) -> None:
-        """Continue to read up to a time of the page."""
+        """Pass further messages to the record, up to a time of the page [s]."""
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
             self.record.take(self._topics[self._next.topic], bytes(self._next.data))
@@ -222,7 +231,10 @@ class RunPlayer:
         self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def _count_lost(self, table: Table) -> None:
-        """Count the missing blocks since the end of the previous block, assuming that they are as long as this one."""
+        """Note how many blocks of scans are missing between the previous block and this one.
+
+        They are assumed to be as long as this one. A pause between two rigs in the recording does not count.
+        """
         length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
         if not length_ns:
             return
@@ -235,12 +247,12 @@ class RunPlayer:
         self._expected_ns = table.stamp_ns + length_ns
 
     def lost_blocks(self, page_s: float) -> int:
-        """Return the number of blocks missing before a time, as far as the run has been read."""
+        """Return the number of blocks of scans missing before a time of the page [s], as far as marks are read."""
         at = self.instant_ns(page_s)
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
     def at(self, page_s: float) -> Instant:
-        """Return the state of the rig at a time of the page."""
+        """Return the state of the rig at a time of the page [s], as far as marks have been read."""
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
         changed_ns = 0 if change is None else change.stamp_ns
@@ -252,9 +264,13 @@ class RunPlayer:
         return Instant(values, drives[-1][1], latched, view.plucked, max(changed_ns, drives[-1][0]))
 
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
-        """Return whether the newest measurement before a time applied then, in the form of `state.present`.
+        """Return whether the newest measurement before a time of the page applied then, in the form of `state.present`.
 
         It applied if the shaker was driven, nothing had changed since it began, and there were no doubts about it.
+
+        Args:
+            page_s: the time of the page [s].
+            then: state of the rig at that time.
         """
         at_ns = self.instant_ns(page_s)
         judged = [row for row in list(self.record.curve.judged) if row.end_ns <= at_ns]
@@ -270,12 +286,20 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the measurements before a time of the page, only the newest if there are many."""
+        """Return the measurements before a time of the page [s], at most `MOST_ROWS`, in the form of `Curve.part`."""
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
-        """Return the next impact after a time of the page, or the last one before it; None if there is none."""
+        """Return the time of the page [s] of the next or previous true impact, as far as marks have been read.
+
+        Args:
+            page_s: time of the page from which to search [s].
+            direction: > 0 for the next impact, otherwise the previous one.
+
+        Returns:
+            None if there is no such impact.
+        """
         times, time_s = sorted(self._impacts), page_s + self.offset_s
         if direction > 0:
             place = bisect.bisect_right(times, time_s + 1e-6)
@@ -284,17 +308,22 @@ class RunPlayer:
         return times[place - 1] - self.offset_s if place else None
 
     def histogram(self) -> list[int]:
-        """Return the number of impacts in each of 400 equal parts of the run."""
+        """Return the number of true impacts in each of `BINS` equal parts of the run, for its time line."""
         times: NDArray[np.float64] = np.array(list(self._impacts))
         return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
 
 
 class PlaybackSource(Source):
-    """Source that plays runs.
+    """Source of pages that play back one recorded run, or two runs at once for comparison.
+
+    The record of the source is that of the first run, which also defines the time of the page.
 
     Args:
-        paths: path of one run, or of two; the second is drawn next to the first.
-        rig: namespace of the rig to show; None: the only one in each recording.
+        paths: path of one run, or of two.
+        rig: namespace of the rig to show; None means the only one in each recording.
+
+    Raises:
+        RecordingError: a run cannot be read or shown.
     """
 
     def __init__(self, paths: Sequence[Path], rig: str | None = None) -> None:
@@ -310,7 +339,10 @@ class PlaybackSource(Source):
         self._now_s, self._begin_s, self._end_s = 0.0, first.begin_s, first.end_s
         self._playing, self._speed, self._aligned = True, 1.0, "start"
         self._impact_s = self._jumped_s = math.nan
-        """Impact of the last jump, and time shown: up to `IMPACT_MARGIN_S` later, less at the end of the run."""
+        """Times of the page [s]: of the impact of the last jump to one, and the time shown after that jump.
+
+        The latter is `IMPACT_MARGIN_S` later, or less at the end of the run.
+        """
         for run in self._runs[1:]:
             run.offset_s = run.begin_s - first.begin_s
         super().__init__("playback", first.record)
@@ -318,7 +350,7 @@ class PlaybackSource(Source):
 
     @property
     def other(self) -> Scope | None:
-        """Scans of the second run; None if it has none at this time."""
+        """Scans of the second run; None if there is no second run, or it has no data at the time shown."""
         if len(self._runs) < 2:
             return None
         run = self._runs[1]
@@ -326,17 +358,17 @@ class PlaybackSource(Source):
 
     @property
     def now_s(self) -> float:
-        """Time shown."""
+        """Time that the page shows [s since scan 0 of the first run]."""
         return self._now_s
 
     def start(self) -> None:
-        """Start to play."""
+        """Start to read the marks of the runs, and to play."""
         for run in self._runs:
             run.start()
         super().start()
 
     def close(self) -> None:
-        """Stop, and close the runs."""
+        """Stop playing, and close the files of the runs."""
         super().close()
         for run in self._runs:
             run.close()
@@ -378,7 +410,7 @@ class PlaybackSource(Source):
     # Requests of pages
 
     def _obey(self) -> None:
-        """Process the requests of pages; of several waiting jumps, only the last one."""
+        """Run the waiting requests of pages and answer them; of several jumps in time, only the last one is run."""
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
             asked.append(self._asked.get())
@@ -411,23 +443,29 @@ class PlaybackSource(Source):
                 shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - IMPACT_MARGIN_S
                 found = self._runs[0].impact_after(shown_s, value or 1.0)
                 if found is None:
-                    raise RecordingError("no further impact in the part read so far")
+                    raise RecordingError("no further impact in the part of the run that has been read so far")
                 self._playing = False
                 self._move(found + IMPACT_MARGIN_S)
                 self._impact_s, self._jumped_s = found, self.now_s
             case "align":
                 return self._align(request.values["by"], value)
             case _:
-                raise RecordingError(f"{request.do}: a recorded run cannot be changed")
+                raise RecordingError(f"{request.do}: not possible, because a recorded run cannot be changed")
         return ""
 
     def _align(self, by: str, at_s: float) -> str:
-        """Align the second run with the first.
+        """Shift the second run in time relative to the first, so that both can be compared.
 
         Args:
-            by: `start` (both begin together), `time` (by the time since scan 0) or `change` (the first run's change
-                nearest to a time is aligned with the same change of the second).
-            at_s: that time.
+            by: `start` (both runs begin together), `time` (equal times since scan 0), or `change`: the journal entry of
+                the first run that is nearest to `at_s` is aligned with the first equal entry of the second run.
+            at_s: time of the page [s].
+
+        Returns:
+            Answer for the page.
+
+        Raises:
+            RecordingError: there is no second run, or no such entry.
         """
         if len(self._runs) < 2:
             raise RecordingError("only one run is shown: there is nothing to align")
@@ -437,11 +475,15 @@ class PlaybackSource(Source):
         if by == "change":
             changes = [line for line in first.record.journal.part(first.start_ns) if line[0] >= first.begin_s]
             if not changes:
-                raise RecordingError(f"{first.path.name} contains no change in the part read so far")
+                raise RecordingError(
+                    f"{first.path.name} contains no change of the rig in the part that has been read so far"
+                )
             chosen = min(changes, key=lambda line: abs(line[0] - at_s))
             same = [line for line in second.record.journal.part(second.start_ns) if line[1:] == chosen[1:]]
             if not same:
-                raise RecordingError(f"{second.path.name} has no {' '.join(chosen[1:]).strip()}")
+                raise RecordingError(
+                    f"{second.path.name} has no change {' '.join(chosen[1:]).strip()!r} with which to align the runs"
+                )
             offset_s = same[0][0] - chosen[0]
             words = f"both runs at {' '.join(chosen[1:]).strip()}"
         second.offset_s, self._aligned = offset_s, by
@@ -482,7 +524,7 @@ class PlaybackSource(Source):
         }, then.values)  # fmt: skip
 
     def _words(self, run: RunPlayer) -> str:
-        """Return a sentence on the present state of a run."""
+        """Return a sentence for the page: name of a run, and what its rig did at the time shown."""
         then = run.at(self.now_s)
         name = f"{run.path.name} (truncated; its intact part is shown)" if run.recovered else run.path.name
         if not run.begin_s <= self.now_s + run.offset_s <= run.end_s:

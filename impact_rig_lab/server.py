@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Web server: the page and its one WebSocket, for clients with the token, on the loopback interface by default.
+"""Web server of the laboratory: it serves the page, and a WebSocket for each open page, to clients with the token.
 
-Nothing is fetched from other sites, and the content security policy forbids the page to do so. Each open page is a
-`PageSession`, which draws what the page requests, one picture at a time: a page that does not draw costs nothing. A
-page may request recorded runs (`?run=NAME`) and gets its own player.
+By default it is reachable only from this machine. Nothing is fetched from other sites, and the content security policy
+forbids the page to do so. Each open page has a `PageSession`, which sends what the page requests, one picture at a
+time: a page that does not draw costs nothing. A page may request recorded runs (`?run=NAME`) and gets its own player.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ from impact_rig_lab.theory import lower_priority
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC = Path(__file__).parent / "static"
 LOOPBACK = "127.0.0.1"
-PORT = 8765
+PORT = 8765  # default port of the page
 HIGHEST_PORT = 65535
-HTTP_PORT = 80
-MOST_PAGES = 16
-FASTEST_HZ = 60.0  # maximum number of pictures per second
-MOST_UNDRAWN = 2  # maximum number of pictures on their way to a page: one is drawn while the next one is sent
+HTTP_PORT = 80  # port that browsers omit from an address
+MOST_PAGES = 16  # largest number of pages open at once
+FASTEST_HZ = 60.0  # largest number of pictures per second
+MOST_UNDRAWN = 2  # largest number of pictures on their way to a page: one is drawn while the next one is sent
 SPECTRUM_S = 0.25  # interval between two spectra
-SPECTRUM_SPAN_S = 2.0
-STATE_S = 0.1
-# a page that has not drawn the last picture after this time is inactive, and gets a picture occasionally
+SPECTRUM_SPAN_S = 2.0  # length of the scans of a spectrum
+STATE_S = 0.1  # interval between two updates of the state
+# time after which a page that has not drawn the last picture counts as inactive; it gets a picture once in this time
 PATIENCE_S = 2.0
 MAX_INVALID = 20  # number of invalid requests after which a connection is closed
 HEADERS_S = 10.0  # time after which a connection without a complete request is closed
 MOST_CONNECTIONS = 64  # far below the limit of descriptors of a process; further connections are rejected
 NO_DESCRIPTOR_S = 0.1  # delay until the next connection is accepted after a failure
-MOST_RUNS = 200
-MOST_AT_ONCE = 2
+MOST_RUNS = 200  # largest number of recorded runs that are listed
+MOST_AT_ONCE = 2  # largest number of runs on one page
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -84,29 +84,35 @@ HEADERS = {
 
 
 def check_port(port: int) -> None:
-    """Reject an invalid port number.
+    """Check the number of a TCP port.
 
     Raises:
-        ImpactRigError: names the valid range.
+        ImpactRigError: it is not a valid port; the message names the range.
     """
     if not 0 <= port <= HIGHEST_PORT:
         raise ImpactRigError(f"a port must be 0 (any) to {HIGHEST_PORT}, got {port}")
 
 
 def plotter_files() -> Path:
-    """Return the folder with uPlot, from the package `uplot-python`, without importing that package.
+    """Return the folder with uPlot, the JavaScript library that draws the page's curves.
+
+    It is part of the Python package `uplot-python`, which need not be imported for this.
 
     Raises:
         ImpactRigError: the package is not installed.
     """
     found = importlib.util.find_spec("uplot")
     if found is None or found.origin is None:
-        raise ImpactRigError("the lab needs uPlot: pip install uplot-python")
+        raise ImpactRigError("the lab needs uPlot, which draws its curves: pip install uplot-python")
     return Path(found.origin).parent / "static"
 
 
 def kept_token() -> str:
-    """Return this user's token, which is created once, so that an open page reconnects after a restart of the lab."""
+    """Return the secret token that the address of the page contains, so that only this user can open the page.
+
+    It is created once and stored in a file that only the user can read: an open page reconnects after a restart of the
+    lab. If it cannot be stored, a new one is valid for this start only.
+    """
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
         found = path.read_text(encoding="ascii").strip()
@@ -122,7 +128,13 @@ def kept_token() -> str:
 
 
 class PageSession:
-    """Session of one WebSocket."""
+    """Session of one open page over its WebSocket: it receives requests, and sends pictures, state and replies.
+
+    Args:
+        socket: the WebSocket.
+        source: what the page shows.
+        refused: counts of rejected requests by reason, shared with the server.
+    """
 
     def __init__(self, socket: web.WebSocketResponse, source: Source, refused: Counter[str]) -> None:
         self._socket = socket
@@ -141,7 +153,7 @@ class PageSession:
         self._loop = asyncio.get_running_loop()
 
     async def run(self) -> None:
-        """Serve until the page disconnects."""
+        """Serve the page until it disconnects, or sends too many invalid requests."""
         sender = asyncio.create_task(self._send())
         try:
             await self._listen()
@@ -166,7 +178,7 @@ class PageSession:
                     bad += 1
                     self._reply(0, False, str(error))
             if bad >= MAX_INVALID:
-                await self._socket.close(code=1008, message=b"too many requests without sense")
+                await self._socket.close(code=1008, message=b"too many invalid requests")
 
     def _take(self, request: Request) -> None:
         if request.do == "ack":
@@ -188,7 +200,7 @@ class PageSession:
         self._answered.set()
 
     async def _send(self) -> None:
-        """Send replies at once, and each picture when the last one was drawn."""
+        """Send replies at once, the state at intervals, and a picture as soon as the page has drawn an earlier one."""
         while not self._socket.closed:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._answered.wait(), 1.0 / FASTEST_HZ)
@@ -219,7 +231,13 @@ class PageSession:
             await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
-        """Return the frames of one picture; the trace is the last one, which the page acknowledges."""
+        """Return the frames of the next picture, or none if nothing new is to be drawn.
+
+        The last frame is the TRACE, which the page acknowledges when it has drawn the picture.
+
+        Args:
+            now: present time (`time.monotonic`).
+        """
         source, record, view = self._source, self._source.record, self._view
         with record.lock:
             if record.epoch != self._epoch:
@@ -264,27 +282,39 @@ class PageSession:
 
 
 class _Counting(logging.Handler):
-    """Log handler that counts what aiohttp would print: invalid HTTP requests, connections that end in the middle."""
+    """Log handler that only counts the messages of aiohttp, so that strange clients cannot fill the terminal.
+
+    Such messages report invalid HTTP requests, and connections that end in the middle of a request.
+
+    Args:
+        counts: counts by reason, to which it adds.
+    """
 
     def __init__(self, counts: Counter[str]) -> None:
         super().__init__()
         self._counts = counts
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Count one record."""
+        """Count a log message: an error as "malformed HTTP", any other as "connections"."""
         self._counts["malformed HTTP" if record.levelno >= logging.ERROR else "connections"] += 1
 
 
 class Server:
-    """Server of a source, in its own event loop and thread.
+    """Web server of the page for one source, with its own event loop in its own thread.
 
     Args:
-        port: port number; 0 means any free one.
-        token: token that the address of the page must contain.
-        runs: directory whose runs a page may play; None means no runs.
+        source: what pages show that do not request recorded runs.
+        host: address of this machine at which the page is served.
+        port: TCP port; 0 means any free one.
+        token: secret that the address of the page must contain; empty means a new one.
+        runs: directory with recorded runs that a page may play; None means none.
+
+    Attributes:
+        token: secret in the address of the page.
+        port: TCP port of the running server.
 
     Raises:
-        ImpactRigError: there is no such port.
+        ImpactRigError: the port is invalid, or uPlot is not installed.
     """
 
     def __init__(
@@ -314,7 +344,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Return the address of the page."""
+        """Return the address (URL) to open in a browser, with the token."""
         return f"http://{self._name}:{self.port}/?token={self.token}"
 
     @property
@@ -322,10 +352,10 @@ class Server:
         return f"[{self._host}]" if ":" in self._host else self._host  # IPv6
 
     def start(self) -> None:
-        """Start serving.
+        """Start the server in its thread; when this returns, the page can be opened.
 
         Raises:
-            ImpactRigError: the address cannot be bound.
+            ImpactRigError: the address or port cannot be used, for example because another program uses it.
         """
         self._thread.start()
         self._ready.wait()
@@ -337,7 +367,7 @@ class Server:
             ) from self._failure
 
     def close(self) -> None:
-        """Close every page and stop."""
+        """Disconnect all open pages, and stop the server."""
         loop, end = self._loop, self._end
         if loop is not None and end is not None and self._thread.is_alive():
             with contextlib.suppress(RuntimeError):
@@ -396,7 +426,7 @@ class Server:
             self._loop.add_reader(listener, self._accept, listener, server)
 
     def _accept(self, listener: socket.socket, server: web.Server) -> None:
-        """Accept connections, up to the limit.
+        """Accept a waiting connection of a client, or close it at once if there are `MOST_CONNECTIONS` already.
 
         `sock_accept` is not used: cancelled at the wrong moment, it loses the connection that it has just accepted.
         """
@@ -457,7 +487,11 @@ class Server:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Reject requests with another host name (DNS rebinding), or from another page."""
+        """Pass a request to its handler, unless it comes from another web site (middleware of the application).
+
+        Requests with a host name that is not the lab's (DNS rebinding), or with the origin of another page, are
+        rejected.
+        """
         self._unserved.discard(request.protocol)
         response: web.StreamResponse | None = self._turned_away(request)
         try:
@@ -472,7 +506,9 @@ class Server:
 
     def _turned_away(self, request: web.Request) -> web.Response | None:
         if self._is_local and request.host.lower() not in self._hosts():
-            return self._refuse("host", "wrong host name for this lab")
+            return self._refuse(
+                "host", "wrong host name for this lab: open the address that was printed where the lab was started"
+            )
         origin = request.headers.get("Origin")
         allowed = {f"http://{host}" for host in self._hosts()} | {f"http://{request.host}"}
         if origin is not None and origin not in allowed:
@@ -509,11 +545,11 @@ class Server:
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if not self._known(request):
-            return self._refuse("token", "the token is missing or wrong")
+            return self._refuse("token", "the token in the address of the lab is missing or wrong")
         if request.headers.get("Origin") is None:
-            return self._refuse("origin", "the origin of the page is missing")
+            return self._refuse("origin", "the request does not name the origin of its page (header Origin)")
         if self._pages >= MOST_PAGES:
-            return self._refuse("too many pages", f"{MOST_PAGES} pages are open already", 503)
+            return self._refuse("too many pages", f"{MOST_PAGES} pages of this lab are open already: close one", 503)
         self._pages += 1
         try:
             return await self._serve_page(request)
@@ -547,7 +583,7 @@ class Server:
     # Recorded runs
 
     def runs(self) -> list[Path]:
-        """Return the runs that a page may play, newest first."""
+        """Return the directories of the recorded runs that a page may play, newest first, at most `MOST_RUNS`."""
         if self._runs is None:
             return []
         found: dict[Path, float] = {}
@@ -560,7 +596,7 @@ class Server:
 
     async def _list_runs(self, request: web.Request) -> web.Response:
         if not self._known(request):
-            return self._refuse("token", "the token is missing or wrong")
+            return self._refuse("token", "the token in the address of the lab is missing or wrong")
         found = await asyncio.to_thread(self._described_runs)
         return web.json_response(found)
 
@@ -573,12 +609,21 @@ class Server:
         return found
 
     def _player(self, names: Sequence[str]) -> Source:
-        """Return a player of runs for one page."""
+        """Return a new, started player of recorded runs for one page.
+
+        Args:
+            names: names of one or two runs.
+
+        Raises:
+            ImpactRigError: there is no such run, or there are more than two names.
+        """
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown or len(names) > MOST_AT_ONCE:
             raise ImpactRigError(
-                f"there is no run {unknown[0]!r}" if unknown else ("at most two runs can be shown at once")
+                f"there is no recorded run {unknown[0]!r} here"
+                if unknown
+                else f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}"
             )
         source = PlaybackSource([known[name] for name in names])
         source.start()

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""State for pages, live and in playback alike, and the `Source` that provides it.
+"""State of rig and measurement as pages show it, live and in playback, and the base class `Source` that provides it.
 
-`judge` summarises the state in one word and one sentence. It uses only the keys of `impact_rig.states`; no sentence is
-parsed. A value that was never reported, or too long ago, is not shown as present. Times are seconds since scan 0;
-earlier times are negative.
+`judge` summarises the state in one word and one sentence. It uses only the state words of the nodes
+(`impact_rig.states`); no sentence of a node is parsed. A value that was never reported, or too long ago, is not shown
+as present. Times are seconds since scan 0; earlier times are negative.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ from impact_rig_lab.scope import Scope
 from impact_rig_lab.theory import Theory, contradiction
 
 FAST_FACTOR = 1.5
-"""Speed from which pictures are drawn only occasionally.
+"""Speed (rig time over real time) above which pictures are drawn only occasionally.
 
-Individual cycles are invisible, and rig and analysis need the machine.
+At such a speed, individual cycles cannot be seen, and rig and analysis need the processor.
 """
 FOLLOWED = 4.5
-"""Speed up to which the motion is drawn.
+"""Speed (rig time over real time) up to which the motion is drawn.
 
-Beyond it the motion is too fast to follow, and publishing it slows the rig by a tenth.
+Above it the motion cannot be followed by eye, and publishing it would slow the rig by a tenth.
 """
 T = TypeVar("T")
 STALE_S = 3.0  # time after which unchanged rig time counts as standing still
 STANDING = (states.RigWord.INACTIVE, states.RigWord.NO_PEER, states.RigWord.SILENT_PEER, states.RigWord.PAUSED)
-"""States in which rig time stands still, or has not started."""
+"""States of the rig in which its time stands still, or has not started."""
 GAP_S = 10.0  # largest interval between two readings from which a speed is computed
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
@@ -72,18 +72,25 @@ DEAD_S = 4.0  # time after which a silent node counts as absent
 
 @attrs.frozen
 class Seen:
-    """Last report of a node, and its age."""
+    """Last report of a node in `/diagnostics`, with its age, as far as the lab has received one."""
 
-    state: str = ""  # word of its table in `impact_rig.states`; empty if it reported none
-    reason: str = ""
-    instance: str = ""  # activation of the node that reported it
+    state: str = ""  # state word of the node, see `impact_rig.states`; empty if it reported none
+    reason: str = ""  # reason for this state, in the words of the node
+    instance: str = ""  # identifier of the activation of the node that reported it
     age_s: float | None = None  # age of the report [s]; None if there was none
-    ended: str = ""  # how its process ended; empty if it is running, or is not one of the lab
-    figures: Mapping[str, str] = attrs.field(factory=dict)  # all keys in its diagnostics
+    ended: str = ""  # how the process of the node ended; empty if it is running, or the lab did not start it
+    figures: Mapping[str, str] = attrs.field(factory=dict)  # all values in its diagnostics, by key
 
     @classmethod
     def of(cls, node: str, figures: Mapping[str, str], age_s: float | None, ended: str = "") -> Seen:
-        """Parse the keys of a node's diagnostics; an unknown word counts as no word."""
+        """Create the report of a node from its diagnostics.
+
+        Args:
+            node: name of the node, which determines the known state words; an unknown word counts as none.
+            figures: values of its diagnostics, by key.
+            age_s: age of the report [s].
+            ended: how the process of the node ended.
+        """
         state = figures.get("state", "")
         known = {one.value for one in states.BY_NODE[node]} if node in states.BY_NODE else set()
         word = state if state in known else ""
@@ -95,7 +102,7 @@ class Seen:
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
-        """Return the report for the page."""
+        """Return the report for the page, as values for JSON."""
         return {
             "state": self.state, "reason": self.reason, "instance": self.instance, "lives": self.lives,
             "age": None if self.age_s is None else round(self.age_s), "gone": self.gone,
@@ -103,7 +110,7 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Reason why a known node is gone; empty if it is alive, or was never seen."""
+        """Reason why a node that has reported before counts as absent now; empty if it is alive, or never reported."""
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -129,10 +136,15 @@ MEASURING = {
 
 
 def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, str]:
-    """Return the overall state in one word and one sentence.
+    """Summarise the state of a live rig and its measurement in one word and one sentence for the page.
 
-    Only the word `measured` means that a measurement applies: the analysis reports one, and there are no doubts.
-    `doubts` are active faults, unsound channels, and changes since the measurement began.
+    The word is `measured` only if the analysis reports a measurement that applies to the present drive, and there are
+    no doubts about it.
+
+    Args:
+        rig: last report of the rig.
+        analysis: last report of the analysis.
+        doubts: reasons why the newest measurement may not apply, see `RigView.doubts`.
     """
     if rig.ended:
         return "dead", f"The rig is gone: {rig.ended}."
@@ -141,7 +153,7 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
     if not rig.lives:
         return "dead", f"No report from the rig for {rig.age_s:.0f} s."
     if not rig.state:
-        return "unknown", "The rig does not report its state; is it of another version?"
+        return "unknown", "The rig reports no state that this lab knows; does it run another version of impact_rig?"
     if rig.state != states.RigWord.DRIVING:
         sentence = SENTENCES[states.RigWord(rig.state)].format(reason=plain(rig.reason) or "no reason given")
         return plain(rig.state), sentence
@@ -170,7 +182,14 @@ def capitalised(text: str) -> str:
 
 
 class Pace:
-    """Speed of rig time, from readings that arrive once or twice a second."""
+    """Measurement of the speed of rig time (rig seconds per real second), from readings once or twice a second.
+
+    Args:
+        clock: clock for real time [s].
+
+    Attributes:
+        speed: speed from the last two different readings; it is not reset while rig time stands still by itself.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -180,18 +199,21 @@ class Pace:
 
     @property
     def is_hurried(self) -> bool:
-        """Return whether rig time runs faster than real time."""
+        """Return whether rig time runs so much faster than real time that pictures are drawn only occasionally."""
         return self.speed > FAST_FACTOR
 
     @property
     def is_followed(self) -> bool:
-        """Return whether the motion is slow enough to follow."""
+        """Return whether rig time runs slowly enough for the motion to be drawn."""
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
-        """Add a reading of the rig time [s]; return the speed, or 0 if rig time stands still or should do so.
+        """Add a reading of the rig time, and return the present speed; 0 if rig time stands still.
 
-        Times of two activations, or of two rigs in one namespace, are unrelated.
+        Args:
+            rig_s: rig time [s].
+            instance: identifier of the rig's activation; the speed is computed only from readings of the same one.
+            stands: whether the state of the rig implies that its time stands still.
         """
         now = self._clock()
         if instance != self._instance or stands:
@@ -205,9 +227,9 @@ class Pace:
 
 
 def choices() -> dict[str, Any]:
-    """Return the available choices.
+    """Return the choices that the controls of the page offer: contact laws, starts of the sphere, faults, channels.
 
-    Laws, starts, and faults with their descriptions and whether they concern the whole board.
+    For faults, see `_fault_form`.
     """
     about = {name: info for name, info, _ in fields()}
     return {
@@ -219,8 +241,8 @@ def choices() -> dict[str, Any]:
 
 
 SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
-"""Suggested fault sizes by channel unit: visible, but without a trip."""
-NOISE = 0.1  # the same for the rms of noise, as a fraction of the suggested size
+"""Suggested size of a fault in the SI unit of each channel: large enough to be seen, too small to trip the rig."""
+NOISE = 0.1  # suggested rms of added noise, as a fraction of that size
 SIZE_NAMES = {
     "gain_error": "fraction",
     "added_noise": "rms",
@@ -231,10 +253,11 @@ SIZE_NAMES = {
 
 
 def _fault_form(kind: str) -> dict[str, Any]:
-    """Return the form for a kind of fault: description, whether it has a channel, a rate, and a size by channel.
+    """Return the content of the page's input form for a kind of instrument fault.
 
-    A kind without `value` has no sizes. The channel of a fault of the whole board is empty. A size is shown in `unit`;
-    one unit of the page is `scale` units of the rig.
+    The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it has a
+    rate) and `sizes` by channel, which is empty for a fault of the board. A size has a name, a default in the `unit` of
+    the page, and `scale`, which is one such unit in the unit of the rig. A kind of fault without a size has no `sizes`.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
@@ -250,7 +273,7 @@ def _fault_form(kind: str) -> dict[str, Any]:
 
 
 def figure(value: str | None) -> float | None:
-    """Return a figure of the diagnostics as a number; None if it is invalid."""
+    """Convert a value of the diagnostics to a number; None if it is missing or not a number."""
     try:
         return None if value is None else float(value)
     except ValueError:
@@ -258,9 +281,16 @@ def figure(value: str | None) -> float | None:
 
 
 def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
-    """Return whether the newest measurement applies now, and the progress of the next measurement.
+    """Return whether the newest measurement applies now (`holds`), and the progress of the next one, for the page.
 
-    It applies if `judge` returns `measured` for the same arguments, and while such a rig is paused.
+    It applies if `judge` returns `measured` for the same arguments, and also while such a rig is paused. The progress
+    consists of the windows `done` and needed (`of`), the `rest` of the transient, and the time without impacts
+    (`quiet`) and its limit.
+
+    Args:
+        rig: last report of the rig.
+        analysis: last report of the analysis.
+        doubts: reasons why the newest measurement may not apply.
     """
     moves = rig.lives and rig.state in (states.RigWord.DRIVING, states.RigWord.PAUSED)
     known = analysis.state if analysis.lives and moves else ""
@@ -274,7 +304,10 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
 
 class Snapshot:
-    """State in named parts, each of which has a version: a session sends the parts that are new to it."""
+    """Newest state of a source in named parts, from which each session sends its page the parts that have changed.
+
+    The attribute `version` increases with each change. A snapshot may be used by several threads.
+    """
 
     def __init__(self) -> None:
         self._parts: dict[str, Any] = {}
@@ -283,7 +316,10 @@ class Snapshot:
         self.version = 0
 
     def put(self, **parts: Any) -> None:
-        """Set parts, all at once: a session sees all of them or none. An equal value is not new."""
+        """Set parts by name, all at once: a session sees all of them or none.
+
+        A part that equals the present one does not count as a change.
+        """
         with self._lock:
             new = {name: part for name, part in parts.items() if name not in self._parts or self._parts[name] != part}
             if new:
@@ -292,26 +328,27 @@ class Snapshot:
                 self._versions.update(dict.fromkeys(new, self.version))
 
     def get(self, name: str) -> Any:
-        """Return a part, or None if it does not exist yet."""
+        """Return the newest value of the part `name`, or None if it was not set yet."""
         return self._parts.get(name)
 
     def since(self, version: int) -> tuple[int, Mapping[str, Any]]:
-        """Return the present version, and the parts changed after an earlier one."""
+        """Return the present version, and the parts by name that have changed since an earlier `version`."""
         with self._lock:
             return self.version, {name: self._parts[name] for name, at in self._versions.items() if at > version}
 
 
 class Source(abc.ABC):
-    """Rig or runs as the source of pages: a thread runs their requests, and updates snapshot and record.
+    """Base class of what pages show: a live rig, or recorded runs. A thread runs requests and updates the snapshot.
 
     Args:
         mode: `live` or `playback`.
+        record: state of the rig, in which the source keeps its data.
     """
 
     def __init__(self, mode: str, record: RigView) -> None:
         self.record = record
         self.snapshot = Snapshot()
-        self.failures: dict[str, list[Any]] = {}  # failed parts of the work: their number, and the last reason
+        self.failures: dict[str, list[Any]] = {}  # failed parts of the work by name: their number, and the last reason
         self.watchers = 0  # number of open pages
         self._asked: queue.SimpleQueue[tuple[Request, Answer]] = queue.SimpleQueue()
         self.end = threading.Event()
@@ -321,24 +358,29 @@ class Source(abc.ABC):
 
     @property
     def other(self) -> Scope | None:
-        """Scans of a second run, shown next to the first."""
+        """Scans of a second run, drawn together with those of `record`; None if there is no second run."""
         return None
 
     @property
     @abc.abstractmethod
     def now_s(self) -> float:
-        """Time that the page shows [s since scan 0]."""
+        """Time that pages show now [s since scan 0]."""
 
     @abc.abstractmethod
     def _run(self) -> None:
-        """Work until `end` is set; runs in the thread of this source."""
+        """Run requests and update snapshot and record until `end` is set: body of the source's thread."""
 
     def ask(self, request: Request, answer: Answer) -> None:
-        """Run the request of a page in the thread of this source."""
+        """Queue a request of a page for the thread of this source.
+
+        Args:
+            request: the request.
+            answer: function that reports its result to the page; it is called in that thread.
+        """
         self._asked.put((request, answer))
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread of the source."""
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -349,22 +391,28 @@ class Source(abc.ABC):
         self.close()
 
     def close(self) -> None:
-        """Stop the thread."""
+        """End the thread of the source, and its computation of predictions."""
         self.end.set()
         if self._thread.is_alive():  # otherwise the cause of the failed start is raised
             self._thread.join()
         self.theory.close()
 
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
-        """Run a part of a turn. If it fails, count the failure and continue, because STOP is sent from this loop."""
+        """Call a function that is a part of the source's work; if it fails, count the failure under the name `what`.
+
+        The loop of the source must continue in any case, because STOP is sent from it. Returns the result of the
+        function, or None if it has failed.
+        """
         return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
-        """Update the snapshot; a part that fails does not prevent the update of the others.
+        """Update the snapshot from functions, and request the prediction for the present settings.
+
+        A function that fails is counted and does not prevent the update of the other parts.
 
         Args:
-            parts: functions that return the parts; `applied`, `dt` and `dt_now` are among the names.
-            values: the rig's parameters by name, for the theory; empty if unknown.
+            parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.
+            values: parameters of the rig by name, for the prediction; empty if they are unknown.
         """
         content: dict[str, Any] = {}
         for name, make in parts.items():
@@ -383,7 +431,10 @@ class Source(abc.ABC):
 
 
 def glossary() -> dict[str, str]:
-    """Return the meaning of each word that a page may show: states, statuses, regimes, laws, faults, figures."""
+    """Return an explanation of each word that a page may show, for its help texts.
+
+    The words are states of nodes, statuses and regimes of measurements, contact laws, faults, and names of values.
+    """
     laws = {plain(name): f"Contact law. {(law.__doc__ or '').splitlines()[0]}" for name, law in LAWS.items()}
     faults = {plain(kind): f"Fault of an instrument: {words}." for kind, words in FAULT_KINDS.items()}
     words: dict[str, str] = {}

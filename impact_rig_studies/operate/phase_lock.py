@@ -342,7 +342,7 @@ class PhaseLock:
                 )
         elif waited > plan.lose_limit_s:
             self.abort(
-                f"the lock was lost: for {plan.lose_limit_s:g} s of rig time the phase was not within "
+                f"the lock was lost: the phase was not held for {plan.lose_limit_s:g} s of rig time within "
                 f"{plan.within_deg:g} degrees of -90 degrees"
             )
         elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:

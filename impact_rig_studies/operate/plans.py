@@ -105,7 +105,7 @@ class SweepPlan:
 
     def __attrs_post_init__(self) -> None:
         if len(set(self.frequencies_hz)) != len(self.frequencies_hz):
-            raise ConfigError(f"frequencies_hz must not contain a frequency twice, got {self.frequencies_hz!r}")
+            raise ConfigError(f"frequencies_hz must not repeat a frequency, got {self.frequencies_hz!r}")
 
     def points(self) -> tuple[float, ...]:
         """Return the drive frequencies [Hz] in the order of measurement; for up_down each occurs twice."""

@@ -147,9 +147,8 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
                 command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
             )
             assert second.returncode == 1
-            assert (
-                f"the lab of process {first.pid} has /bench/two: open its page with --attach" in second.stderr.decode()
-            )
+            words = f"the lab of process {first.pid} already uses the namespace /bench/two: open its page with --attach"
+            assert words in second.stderr.decode()
             assert len(second.stderr.splitlines()) == 1
             with Client(domain_id, "bench/two", name="observer") as client:
                 client.wait_until(lambda: client.figures("recorder").get("directory"), "a recording", PATIENCE_S)
