@@ -239,7 +239,7 @@ def parse(raw: str | bytes) -> Request:
         rig = text("rig", rig)
     checks = REQUESTS[do]
     if found.keys() != checks.keys():
-        raise RequestError(f"the request {do} takes {', '.join(checks) or 'no values'}, got {_short(sorted(found))}")
+        raise RequestError(f"{do} takes {', '.join(checks) or 'no values'}, got {_short(sorted(found))}")
     values = {name: check(do if name == "value" else name, found[name]) for name, check in checks.items()}
     return Request(int(identity), do, values, rig)
 

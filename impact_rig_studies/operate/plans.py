@@ -79,7 +79,7 @@ class SweepPlan:
     dwell_limit_s: float = quantity(
         150.0,
         "s",
-        "Rig time at one point without a measurement after which the sweep is aborted.",
+        "Rig time after a command within which its point must be measured; otherwise the sweep is aborted.",
         above=0,
         at_most=1e9,
     )
