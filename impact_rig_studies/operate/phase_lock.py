@@ -183,7 +183,7 @@ class PhaseLock:
 
     @property
     def sample_s(self) -> float:
-        """Rig time that the next sample should comprise [s]: `seek_s` of the plan during the search, then `sample_s`."""
+        """Rig time that the next sample should comprise [s]: the plan's `seek_s` during the search, else `sample_s`."""
         return self._plan.seek_s if self.stage is Stage.SEEKING else self._plan.sample_s
 
     @property
