@@ -125,6 +125,7 @@ class Run:
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
+        BudgetError: the recording exceeds a limit of reading, such as the size of a chunk.
     """
 
     def __init__(self, path: Path, rig: str | None = None) -> None:
@@ -463,6 +464,7 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
+        BudgetError: the recording exceeds a limit of reading, such as the size of a chunk.
 
     Examples:
         >>> import pathlib, impact_rig
@@ -572,6 +574,7 @@ class McapSource:
 
     Raises:
         RecordingError: the file cannot be opened, is not finished or is damaged.
+        BudgetError: the file exceeds a limit of reading, such as the size of the index.
     """
 
     def __init__(self, path: Path) -> None:
