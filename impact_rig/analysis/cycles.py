@@ -122,7 +122,8 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
         or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE
     ):
         return 0
-    return max(1, min(wanted, int(0.45 * rate_hz / frequency_hz)))
+    per_cycle = rate_hz / frequency_hz
+    return max(1, min(wanted, int(0.45 * per_cycle), (int(per_cycle) - 1) // 2))
 
 
 class Accumulator:

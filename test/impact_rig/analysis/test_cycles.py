@@ -19,7 +19,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from impact_rig.analysis.cycles import RANGE_BIT, Accumulator, Cycles, concatenate, normal_matrix, usable_harmonics
@@ -138,6 +138,18 @@ def test_flags_name_channel_and_kind():
 )
 def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
     assert usable_harmonics(10_000, frequency_hz, 5) == expected
+
+
+@given(st.floats(8.0, 40.0), st.integers(1, 9))
+@settings(deadline=None)
+@example(8.9, 5)  # 8.9 scans a cycle: 0.45 of them allow 4 harmonics, but a cycle of 8 scans cannot tell 9 unknowns
+def test_every_cycle_determines_its_harmonics(scans_per_cycle, wanted):
+    rate, count = 10_000.0, usable_harmonics(10_000.0, 10_000.0 / scans_per_cycle, wanted)
+    wave = np.cos(2.0 * np.pi / scans_per_cycle * np.arange(400))
+    cycles = reduced(np.tile(wave, (4, 1)), rate, rate / scans_per_cycle, [], count)
+    expected = np.zeros(count)
+    expected[0] = 1.0
+    np.testing.assert_allclose(np.abs(cycles.phasors), np.broadcast_to(expected, cycles.phasors.shape), atol=1e-6)
 
 
 def test_fits_without_degrees_of_freedom_leave_no_variance():
