@@ -22,6 +22,8 @@ import pytest
 from kits import reach
 from kits.reach import Reach
 
+import impact_rig
+
 pytestmark = pytest.mark.heavy
 
 
@@ -62,6 +64,9 @@ def checkout() -> Reach:
         ),
         ("docs/explanation/rig.md", "test/test_docs.py", "test/impact_rig/physics/test_energy.py"),
         ("test/data/digests.txt", "test/test_digests.py", "test/impact_rig/recording/test_tail.py"),
+        ("impact_rig/simulation.py", "test/test_public_face.py", "test/impact_rig/physics/test_energy.py"),
+        ("impact_rig/simulation.py", "test/test_claims.py", "test/impact_rig/recording/test_tail.py"),
+        ("impact_rig/driver/sample_run.py", "test/test_notebook.py", "test/impact_rig/arithmetic/test_random.py"),
         (
             "impact_rig_lab/static/main.js",
             "test/impact_rig_lab/test_live_page.py",
@@ -107,6 +112,45 @@ def test_modules_that_are_found_in_a_folder_and_programs_that_are_started_are_fo
     found = Reach(tmp_path).files(["impact_rig/laws/new.py"])
     assert found is not None
     assert {path for path in found if "/test_" in path} == {"test/test_program.py", "test/impact_rig_lab/test_page.py"}
+
+
+@pytest.mark.parametrize("name", impact_rig.__all__)
+def test_the_module_of_a_public_name_reaches_the_tests_of_all_of_them(checkout: Reach, name: str) -> None:
+    module = getattr(impact_rig, name).__module__.replace(".", "/")
+    (file,) = (path for path in (f"{module}.py", f"{module}/__init__.py") if (reach.ROOT / path).is_file())
+    found = checkout.files([file])
+    assert found is not None
+    assert {"test/test_public_face.py", "test/test_docs.py"} <= found
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import impact_rig\nimpact_rig.simulate(1.0)",
+        "from impact_rig import Rig, simulate",
+        "from impact_rig import *",
+        "import impact_rig as rig\nrig.simulate(1.0)",
+        "import impact_rig\ngetattr(impact_rig, chosen)",
+        "run([sys.executable, '-c', 'import impact_rig; impact_rig.simulate(1.0)'])",
+        "run([sys.executable, '-c', 'from impact_rig import (\\n    Rig,\\n    simulate,\\n)\\nsimulate(1.0)'])",
+        "exec(code_of(ROOT / 'docs' / 'page.md'))",
+    ],
+)
+def test_a_public_name_is_followed_to_the_module_that_defines_it(tmp_path: Path, code: str) -> None:
+    files = {
+        "impact_rig/__init__.py": "if TYPE_CHECKING:\n    from impact_rig.core import Rig\n"
+        "    from impact_rig.simulation import simulate\n",
+        "impact_rig/core.py": "",
+        "impact_rig/simulation.py": "",
+        "docs/page.md": "# Page\n\n```python\nimport impact_rig\n\nimpact_rig.simulate(1.0)\n```\n",
+        "test/test_user.py": code,
+        "test/test_other.py": "import impact_rig\nimpact_rig.Rig()",
+    }
+    for name, text in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    assert Reach(tmp_path).files(["impact_rig/simulation.py"]) == {"impact_rig/simulation.py", "test/test_user.py"}
 
 
 def test_what_git_says_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

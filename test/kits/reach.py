@@ -15,7 +15,8 @@
 
 A file reaches every file that names it: by import, by module name in a string (`python -m impact_rig.nodes`), by file
 name (`"hostile.py"`, `"nominal.yaml"`) or, if it is not a module, by a folder of its path. This is at least what is
-executed. A file that is not named anywhere reaches everything.
+executed. A public name such as `impact_rig.simulate` stands for the module that defines it, and a page for the code in
+it. A file that is not named anywhere reaches everything.
 """
 
 from __future__ import annotations
@@ -39,10 +40,16 @@ EVERYTHING = (
 """Files that every test depends on: the environment, the way tests are run, and what each of them gets."""
 COMMAND_LINE = "impact_rig/cli/main.py"
 """It loads the entry points of setup.py, which name the modules of the commands."""
+PUBLIC = "impact_rig/__init__.py"
+"""Every module imports it. It loads the module of a public name when the name is used."""
 OUTSIDE = ("docs/", "test/", "README", "CONTRIBUTING", "CHANGELOG", ".")
 """Paths that are not installed with the package, which therefore cannot read them."""
 MODULE = re.compile(r"\b(?:impact_rig(?:_studies|_lab)?|qualification|tools|fuzz|benchmarks|kits)(?:\.\w+)*\b")
+PUBLIC_NAMES = re.compile(r"\bfrom impact_rig import \(?([\w,\s]+|\*)")
 FILE = re.compile(r"\b(?!__|conftest)\w+\.py\b")
+PAGE = re.compile(r"\b\w+\.(?:md|ipynb)\b")
+CODE = re.compile(r"^```(?:python|pycon).*?^```|\A\{.*", re.MULTILINE | re.DOTALL)
+"""Python code in a page, or a whole notebook."""
 BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
 """Modules that load others by name may load every module of their package."""
 
@@ -77,6 +84,13 @@ class Reach:
         self._by_file: dict[str, set[str]] = {}
         for path in self._texts:
             self._by_file.setdefault(Path(path).name, set()).add(path)
+        self._pages: dict[str, str] = {}
+        for page in [*root.glob("*.md"), *root.glob("docs/**/*.md"), *root.glob("examples/*.ipynb")]:
+            code = "\n".join(CODE.findall(page.read_text(encoding="utf-8")))
+            self._pages[page.name] = self._pages.get(page.name, "") + code
+        public = ast.walk(ast.parse(self._texts.get(PUBLIC, "")))
+        imports = [node for node in public if isinstance(node, ast.ImportFrom)]
+        self._homes = {f"impact_rig.{alias.name}": f"{node.module}" for node in imports for alias in node.names}
         self._strings: dict[str, str] = {}
         setup = root / "setup.py"
         points = re.findall(r"= ([\w.]+):", setup.read_text(encoding="utf-8")) if setup.exists() else []
@@ -99,20 +113,31 @@ class Reach:
 
     def _uses(self, path: str) -> set[str]:
         """Return the files that a Python file names."""
-        if path == "impact_rig/__init__.py":
-            return set()  # all modules import it, and it imports the public names only on request
-        names, strings = set[str](), list[str]()
+        if path == PUBLIC:
+            return set()
+        names, strings, bases = set[str](), list[str](), set[ast.expr]()
         tree = ast.parse(self._texts[path])
         said = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
         for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                names |= {alias.name for alias in node.names}
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                names.add(f"{node.value.id}.{node.attr}")
+                bases.add(node.value)
+            elif isinstance(node, ast.Name) and node.id == "impact_rig" and node not in bases:
+                names.add("impact_rig.*")  # for `getattr`
+            elif isinstance(node, ast.Import):
+                names |= {
+                    "impact_rig.*" if alias.name == "impact_rig" and alias.asname else alias.name
+                    for alias in node.names
+                }
             elif isinstance(node, ast.ImportFrom) and node.module:
                 names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in said:
                 strings.append(node.value)
         text = self._strings[path] = "\n".join(strings)
+        text += "".join(f"\n{self._pages.get(name, '')}" for name in set(PAGE.findall(text)))
         names |= set(MODULE.findall(text))
+        names |= {f"impact_rig.{name}" for words in PUBLIC_NAMES.findall(text) for name in re.split(r"[,\s]+", words)}
+        names |= {home for name, home in self._homes.items() if name in names or "impact_rig.*" in names}
         parts = [name.split(".") for name in names]
         names = {".".join(each[: count + 1]) for each in parts for count in range(len(each))}
         found = {self._files[name] for name in names & self._files.keys()}
