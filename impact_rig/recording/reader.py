@@ -557,6 +557,8 @@ def _items(
             items.append((raw.log_time, number_of_place, number, message))
     except KeyError as error:
         raise DamageError(f"{place.source.path}: a message belongs to the unknown channel {error}") from error
+    except DamageError as error:
+        raise DamageError(f"{place.source.path}: {error}; {_REMEDY}") from error
     except BudgetError as error:
         raise BudgetError(f"{place.source.path}: {error}") from error
     return items
