@@ -163,6 +163,23 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
     )  # fmt: skip
 
 
+def legend_outside(figure: Figure, axis: Axes, columns: int, **more: Any) -> None:
+    """Place the legend of one axes below all axes of a figure, in as many columns as its width has room for.
+
+    Args:
+        figure: figure with constrained layout.
+        axis: axes whose entries are listed; without any there is no legend.
+        columns: largest number of columns.
+        more: further arguments of `Figure.legend`.
+    """
+    handles, labels = axis.get_legend_handles_labels()
+    for ncols in range(columns if handles else 0, 0, -1):
+        legend = figure.legend(handles, labels, loc="outside lower center", ncols=ncols, **more)
+        if ncols == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
+
+
 @attrs.frozen(eq=False)
 class Line:
     """Numbers of one case in a drawing, such as a curve, for the CSV file next to the figure."""

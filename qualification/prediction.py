@@ -173,9 +173,9 @@ def draw(found: Sequence[Compared]) -> None:
         figure.savefig(PICTURE, dpi=130, facecolor="white")
 
 
-def continued() -> list[tuple[NDArray[np.generic], ...]]:
+def continued(points: int = 200, workers: int | None = None) -> list[tuple[NDArray[np.generic], ...]]:
     """Return gap [mm], DT, phase [°] and stability along motions that do not strike twice per cycle."""
-    what = {"over": GAP, "low": FROM_MM * 1e-3, "high": TO_MM * 1e-3, "start": "left", "points": 200}
+    what = {"over": GAP, "low": FROM_MM * 1e-3, "high": TO_MM * 1e-3, "start": "left", "points": points}
     tasks = [
         StudyTask(
             kind=CONTINUE, name="", changes={}, settings=Settings(), frequency_hz=frequency, current_a=CURRENT_A,
@@ -186,7 +186,7 @@ def continued() -> list[tuple[NDArray[np.generic], ...]]:
     ]  # fmt: skip
     plan = Plan(kind=CONTINUE, title="", base=RigConfig(), text="", over=GAP, tasks=tuple(tasks))
     found = []
-    for _, rows in in_parallel(run, tasks):
+    for _, rows in in_parallel(run, tasks, workers):
         (gap, dt, stable), (_, phase, _) = (figures.along(plan, rows, name) for name in ("dt", "phase_rad"))
         found.append((gap * 1e3, dt, np.degrees(phase), stable))
     return found

@@ -80,7 +80,30 @@ def test_a_picture_shows_what_is_there_now(name):
     known = digests.written()
     assert name in known, f"run `{COMMAND}`"
     assert digests.of_file(IMAGES / name) == known[name]["file"], f"not made by `{COMMAND}`"
-    assert digests.shown(name) == known[name]["shows"], f"what it shows has changed: run `{COMMAND}`, and look at it"
+    assert digests.shown(name, known[name].get("at", {})) == known[name]["shows"], (
+        f"what it shows has changed: run `{COMMAND}`, and look at it"
+    )
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("name", digests.STUDIES)
+def test_the_miniature_of_a_picture_is_its_own_plan_with_all_its_regimes(name):
+    """A fixed benign plan at regular places showed no change of the chaotic and of the rare motions of a picture."""
+    known = digests.written()[name]
+    at = known.get("at", {})
+    whole, few = digests.plan_of(digests.STUDIES[name][1]), digests.thinned(name, at)
+    assert differences(whole, few) <= {*at, "values", "optimum", "cycles", "points"}
+    if at:
+        table, _ = digests.miniature(name, at)
+        marched = {"intermittent"} if "bifurcation" in name else set()  # rare, and it depends on the values before
+        assert {*digests.regimes(table)} | marched == {*known["regimes"]} | marched
+
+
+def differences(one: dict, other: dict) -> set[str]:
+    """Return the keys, at any depth, whose values differ."""
+    keys = {key for key in {*one, *other} if one.get(key) != other.get(key)}
+    nested = {key for key in keys if isinstance(one.get(key), dict) and "from" not in one[key] and "over" not in key}
+    return (keys - nested).union(*(differences(one[key], other[key]) for key in nested))
 
 
 def test_the_digest_of_the_page_follows_its_elements_texts_and_styles(tmp_path, monkeypatch):

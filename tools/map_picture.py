@@ -13,7 +13,8 @@
 # limitations under the License.
 """Pictures of the maps and the dynamics in the docs: measured on the mechanics and drawn, some minutes.
 
-`python -m tools.map_picture dynamics` makes only the pictures of the page of that name.
+`python -m tools.map_picture dynamics` makes only the pictures whose names begin so. Their results are stored in
+build/pictures and used again; remove that folder to measure everything again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 from impact_rig.cli.main import main
@@ -41,24 +41,24 @@ PICTURES = {
     ("dynamics", "continue", "dynamics/current"): ("dynamics_continue", "dynamics_current"),
 }
 """Command and file in config/ -> the picture that it draws, and the picture's name in docs/images."""
+RESULTS = ROOT / "build" / "pictures"  # results of each picture, in a folder with the picture's name
 
 
-def draw(page: str) -> int:
-    """Measure and draw; return the exit code."""
+def draw(beginning: str) -> int:
+    """Measure and draw the pictures whose names begin with a text; return the exit code."""
     for words, (picture, name) in PICTURES.items():
-        if not words[0].startswith(page):
+        if not name.startswith(beginning):
             continue
-        with tempfile.TemporaryDirectory() as directory:
-            output = Path(directory, "out")
-            file = str(ROOT / "config" / f"{words[-1]}.yaml")
-            code = main([*words[:-1], file, "--output", str(output)])
-            if code:
-                return code
-            shutil.copy(output / "figures" / f"{picture}.png", ROOT / "docs" / "images" / f"{name}.png")
+        output, file = RESULTS / name, str(ROOT / "config" / f"{words[-1]}.yaml")
+        output.mkdir(parents=True, exist_ok=True)
+        code = main([*words[:-1], file, "--output", str(output), "--format", "png"])
+        if code:
+            return code
+        shutil.copy(output / "figures" / f"{picture}.png", ROOT / "docs" / "images" / f"{name}.png")
     return 0
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("page", nargs="?", choices=("map", "dynamics"), help="page of the pictures (default: both)")
-    sys.exit(draw(parser.parse_args().page or ""))
+    parser.add_argument("beginning", nargs="?", default="", help="beginning of the pictures' names (default: all)")
+    sys.exit(draw(parser.parse_args().beginning))

@@ -146,18 +146,21 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
     with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):
         measured, wall_s = tasks.measure(plan.tasks, store, runner, console, lambda _: 1)
     done = plans.finished(plan, directory)
-    rows = done.rows
+    rows, missing = done.rows, plans.without_results(done.found)
     files.write_csv(directory / f"{kind}.csv", *done.table())
     content = {
         "title": plan.title, "kind": kind, "measured_on": "mechanics", "tasks": len(plan.tasks), "rows": len(rows),
-        "measured_tasks": measured, "wall_s": wall_s, **_summary(plan, rows),
+        "measured_tasks": measured, "wall_s": wall_s, **({"without_results": missing} if missing else {}),
+        **_summary(done),
     }  # fmt: skip
     files.write_text(directory / f"{kind}.json", json.dumps(files.plain(content), indent=2) + "\n")
     if not arguments.no_figures:
         from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 
         drawn(plan, done.found).save(tasks.figures_folder(arguments, directory), arguments.formats)
-    _show(console, plan, rows)
+    _show(console, done)
+    for line in missing:
+        console.print(line)
     console.print(f"{len(rows)} rows of the mechanics without instruments; results in {kind}.csv and {kind}.json")
     empty = _unsolved(plan, rows) == len(rows)
     if empty:
@@ -168,62 +171,71 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
     return 1 if empty else 0
 
 
-def _named(plan: Plan, rows: list[Row], names: tuple[str, ...]) -> list[dict[str, object]]:
-    """Return some columns of a study's rows as one mapping per row, with None for values that are not finite."""
+def _special(done: plans.FinishedStudy) -> list[dict[str, object]]:
+    """Return the rows to print by column: all, but of a continued branch only those with an event, such as a fold.
+
+    NaN becomes None.
+    """
+    names, rows = done.table()
+    named = [dict(zip(names, row, strict=True)) for row in rows]
     return [
-        {
-            name: None if isinstance(cell, float) and not math.isfinite(cell) else cell
-            for name, cell in zip(plan.columns, row, strict=True)
-            if name in names
-        }
-        for row in rows
+        {name: None if isinstance(cell, float) and not math.isfinite(cell) else cell for name, cell in row.items()}
+        for row in named
+        if done.plan.kind != plans.CONTINUE or row["event"] != "orbit"
     ]
-
-
-def _printed(plan: Plan, rows: list[Row]) -> list[Row]:
-    """Return the rows of a study to print: all, but of a continued branch only those with an event, such as a fold."""
-    if plan.kind != plans.CONTINUE:
-        return rows
-    event = plan.columns.index("event")
-    return [row for row in rows if row[event] != "orbit"]
 
 
 def _unsolved(plan: Plan, rows: list[Row]) -> int:
     """Return the number of rows whose motion could not be resolved."""
-    return sum(row[plan.columns.index("regime")] == FAILED for row in rows) if "regime" in plan.columns else 0
+    word = next((plan.columns.index(name) for name in ("regime", "event") if name in plan.columns), None)
+    words = [] if word is None else [str(row[word]) for row in rows]
+    return sum(one == FAILED or one.startswith(plans.NO_ORBIT) for one in words)
 
 
-def _summary(plan: Plan, rows: list[Row]) -> dict[str, object]:
+def _summary(done: plans.FinishedStudy) -> dict[str, object]:
     """Return the key figures of a study as data for JSON: shares of a basin, failures, or the printed rows."""
+    plan, rows = done.plan, done.rows
     if plan.kind == plans.BASIN:
         from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
 
         counts = Counter(motion(plan, row) for row in rows)
-        shares = {name: count / len(rows) for name, count in sorted(counts.items())}
+        # for random starts; for a grid the same, with boundaries finer than the grid
         return {
-            "shares": shares,
-            # for random starts; for a grid the same, with boundaries finer than the grid
-            "shares_uncertainty": {name: math.sqrt(p * (1.0 - p) / len(rows)) for name, p in shares.items()},
+            "shares": {name: count / len(rows) for name, count in sorted(counts.items())},
+            "shares_95_percent": {name: _wilson(count, len(rows)) for name, count in sorted(counts.items())},
         }
     if plan.kind == plans.BIFURCATION:
         failed = _unsolved(plan, rows)
         return {"failed_rows": failed} if failed else {}
     if plan.kind == plans.SECTION:
         return {}
-    return {"found": _named(plan, _printed(plan, rows), plan.columns)}
+    return {"found": _special(done)}
 
 
-def _show(console: Console, plan: Plan, rows: list[Row]) -> None:
-    summary = _summary(plan, rows)
+def _wilson(count: int, total: int) -> list[float]:
+    """Return Wilson's interval of 95 % coverage for a share of which `count` of `total` trials are seen."""
+    from scipy.stats import binomtest  # noqa: PLC0415  # slow to import
+
+    interval = binomtest(count, total).proportion_ci(0.95, "wilson")
+    return [float(interval.low), float(interval.high)]
+
+
+def _show(console: Console, done: plans.FinishedStudy) -> None:
+    plan, rows, summary = done.plan, done.rows, _summary(done)
     for name, share in summary.get("shares", {}).items():  # type: ignore[attr-defined]  # a mapping
-        u = summary["shares_uncertainty"][name]  # type: ignore[index]  # likewise
-        console.print(f"{100.0 * share:.2f} ± {200.0 * u:.2f} % (2u) of the initial states lead to: {name}")
+        low, high = summary["shares_95_percent"][name]  # type: ignore[index]  # likewise
+        console.print(
+            f"{100.0 * share:.2f} % of the initial states lead to: {name} "
+            f"(95 % interval {100.0 * low:.2f} to {100.0 * high:.2f} %)"
+        )
     if "failed_rows" in summary:
         console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
     if plan.kind not in SHOWN:
         return
-    shown = (plan.columns[0], *SHOWN[plan.kind])
+    special = [row for row in _special(done) if not str(row.get("event", "")).startswith(plans.NO_ORBIT)]
+    shown = [name for name in done.table()[0] if name in ("start", "branch", plan.columns[0], *SHOWN[plan.kind])]
     table = TextTable(right=[name.replace("_", " ") for name in shown])
-    for row in _named(plan, _printed(plan, rows)[:MOST_ROWS], shown):
-        table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in row.values()))
+    for row in special[:MOST_ROWS]:
+        cells = [row[name] for name in shown]
+        table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in cells))
     console.print(table)

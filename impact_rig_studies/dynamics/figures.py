@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.drawing import INK, SERIES, Drawn, new_axes, style
+from impact_rig.drawing import INK, SERIES, Drawn, legend_outside, new_axes, style
 from impact_rig_studies.campaign.tasks import Row
 from impact_rig_studies.dynamics import plan as plans
 from impact_rig_studies.dynamics.plan import Found, Plan
@@ -55,10 +55,8 @@ def drawn(plan: Plan, found: Found) -> Drawn:
         figure, panes = new_axes(3.0 if panels == 1 else 4.4, (1.0,) * panels)
         draw(panes, plan, found)
         panes[0].set_title(plan.title, loc="left")
-        handles, labels = panes[0].get_legend_handles_labels()
         scale = DOTS_IN_LEGEND if plan.kind in (plans.SECTION, plans.BIFURCATION) else 1.0
-        if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=3, markerscale=scale)
+        legend_outside(figure, panes[0], 3, markerscale=scale)
         return Drawn(f"dynamics_{plan.kind}", figure, f"{plan.title}: {what} Of the model, without instruments.")
 
 
@@ -98,6 +96,8 @@ def along(
 
 def _section(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     for i, (task, rows) in enumerate(found):
+        if plans.without_results([(task, rows)]):
+            continue
         x, v = column(plan, rows, "x_2_m"), column(plan, rows, "v_2_m_s")
         panes[0].plot(1e3 * x, v, ".", color=SERIES[i], markersize=1.5, label=task.name)
     panes[0].set(xlabel=_SPHERE, ylabel="its velocity (m/s)")
@@ -158,6 +158,8 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     panes[0].plot(np.cos(angle), np.sin(angle), "-", color=INK, linewidth=0.8)
     for i, (task, rows) in enumerate(found):
+        if plans.without_results([(task, rows)]):
+            continue
         panes[0].plot(
             column(plan, rows, "multiplier_real"), column(plan, rows, "multiplier_imag"), "o", color=SERIES[i],
             label=task.name,
@@ -177,14 +179,17 @@ def draw_branch(
         rows: its rows of one branch.
         quantity: name of the column to draw.
         colour: colour of the branch.
-        label: text in the legend, or None.
+        label: text in the legend, or None; there is no entry for a branch without orbits.
 
     Returns:
         The drawn points (parameter in the unit of the axis, quantity) of the stable, and of the unstable orbits.
     """
     across, height, stable = along(plan, rows, quantity)
     across = label_of(plan.over)[1] * across
-    for which, line, name in ((stable, "-", label), (~stable, ":", None)):
+    for which, line in ((stable, "-"), (~stable, ":")):
+        if not which.any():
+            continue
+        name, label = label, None
         near = which | np.append(which[1:], False) if line == ":" else which
         pane.plot(across, np.where(near, height, np.nan), line, color=colour, label=name)
     return [(across[which].tolist(), height[which].tolist()) for which in (stable, ~stable)]

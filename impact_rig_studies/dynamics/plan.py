@@ -73,11 +73,14 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 """Columns of the rows of results, by kind of study.
 
 `value` is the value of the parameter [SI]. On a branch, `event` is `start`, `orbit`, the kind of change there, or the
-reason why the branch ends there; in a study of one orbit it is the kind of stability. Multipliers are sorted, the
+reason why the branch ends there; in a study of one orbit it is the kind of stability. A start from which no orbit is
+found has one row, whose event is `NO_ORBIT` with the reason, and whose numbers are NaN. Multipliers are sorted, the
 largest first, NaN where there are fewer. State values are those at the section, the phase `turn` of the drive.
 `settled_cycles` is the number of cycles that passed before an exponent was measured.
 """
 NAMES = (FREQUENCY, CURRENT, GAP)
+UNRESOLVED = "the motion cannot be simulated"
+NO_ORBIT = "no orbit: "  # beginning of the event of a start from which no orbit is found
 CHUNK_VALUES = 20  # number of parameter values in one task of a bifurcation diagram, each measured from rest
 _CYCLES, _WINDOWS = 100, 20  # default number of cycles in each window, and of windows, of an exponent
 _PARTS = 20.0  # number of dimensionless steps of 1 into which the range of a continued parameter is divided
@@ -512,21 +515,21 @@ def _bifurcation(
 
 
 def _orbit(task: StudyTask, start: Start) -> list[Row]:
-    found = _found(task, FREQUENCY, task.frequency_hz, start, 1.0)
-    if found is None:
-        return []
-    strobe, one = found
-    return [_row(one, strobe.note(one), 1.0, one.kind)]
+    try:
+        strobe, one = _found(task, FREQUENCY, task.frequency_hz, start, 1.0)
+    except SimulationError as reason:
+        return [_without_orbit(task.frequency_hz, reason)]
+    return [_row(one, strobe.note(one), 1.0, strobe.kind(one))]
 
 
 def _continue(
     task: StudyTask, over: str, low: float, high: float, value: float, start: Start, points: int
 ) -> list[Row]:
     unit = (high - low) / _PARTS
-    found = _found(task, over, value, start, unit)
-    if found is None:
-        return []
-    strobe, first = found
+    try:
+        strobe, first = _found(task, over, value, start, unit)
+    except SimulationError as reason:
+        return [_without_orbit(value, reason)]
     turn = strobe.turn
     here = _row(first, strobe.note(first), unit, "start")
     rows: list[Row] = []
@@ -552,9 +555,7 @@ def _continue(
     return rows
 
 
-def _found(
-    task: StudyTask, over: str, value: float, start: Start, unit: float
-) -> tuple[Stroboscope, orbits.Orbit] | None:
+def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) -> tuple[Stroboscope, orbits.Orbit]:
     """Return the periodic orbit to which the motion from a start settles, and the map of which it is a fixed point.
 
     Args:
@@ -564,21 +565,41 @@ def _found(
         start: start of the sphere.
         unit: change of the parameter for one dimensionless step of the map.
 
-    Returns:
-        None if the motion does not become periodic or cannot be simulated, or Newton's method finds no orbit.
+    Raises:
+        SimulationError: there is no such orbit; the message is the reason.
     """
     place = at(task.place, over, value)
     strobe = Stroboscope(task.place, over, unit)
     rig = _begun(place, start, task.settings)
     reading = rig.measure(place.frequency_hz, place.amplitude)
+    if reading.regime == FAILED:
+        raise SimulationError(UNRESOLVED)
     if not math.isfinite(reading.period):
-        return None
-    try:
-        z = strobe.seen(rig, value / unit, reading)
-    except SimulationError:
-        return None
-    one = orbits.orbit(strobe, z, value / unit)
-    return None if one is None else (strobe, one)
+        raise SimulationError(f"the motion is {reading.regime}")
+    one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
+    if one is None:
+        raise SimulationError("Newton's method does not converge")
+    return strobe, one
+
+
+def _without_orbit(value: float, reason: SimulationError) -> Row:
+    """Return the row of a start from which no orbit is found."""
+    return (value, f"{NO_ORBIT}{reason}", *[math.nan] * (len(_ORBIT) - 2))
+
+
+def without_results(found: Found) -> list[str]:
+    """Return one line for each start whose motion gives no section or no orbit, with the start and the reason.
+
+    Args:
+        found: tasks of a study with their rows of results.
+    """
+    lines = []
+    for task, rows in found:
+        if task.kind in (ORBIT, CONTINUE) and rows and str(rows[0][1]).startswith(NO_ORBIT):
+            lines.append(f"no orbit from {task.name}: {str(rows[0][1]).removeprefix(NO_ORBIT)}")
+        elif task.kind == SECTION and not rows:
+            lines.append(f"no section from {task.name}: {UNRESOLVED}")
+    return lines
 
 
 def _row(one: orbits.Orbit, note: object, unit: float, event: str) -> Row:

@@ -39,7 +39,7 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig_studies.dynamics.orbits import FLIP, FOLD, SYMMETRY, Orbit
+from impact_rig_studies.dynamics.orbits import FLIP, FOLD, SYMMETRY, Orbit, jacobian
 from impact_rig_studies.maps.measure import MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
@@ -235,6 +235,22 @@ class Stroboscope:
                 return kind
         return FOLD
 
+    def kind(self, one: Orbit) -> str:
+        """Return the stability of an orbit as `Orbit.kind`, with `SYMMETRY` where the mirror symmetry is lost.
+
+        A symmetric orbit is a fixed point of the mirrored map over half of its period, whose multipliers are square
+        roots of those of the orbit. If the largest is negative, a deviation grows that changes its side from half to
+        half: the two half periods become different, and no fold is near.
+        """
+        away = self._mirrored(one) if one.kind == FOLD else None
+        if away is None or away > BORN:
+            return one.kind
+        matrix = jacobian(self._half, one.z, one.p)
+        if not np.isfinite(matrix).all():
+            return one.kind
+        multipliers = np.linalg.eigvals(matrix)
+        return SYMMETRY if multipliers[np.argmax(np.abs(multipliers))].real < 0.0 else FOLD
+
     def _halved(self, one: Orbit) -> float | None:
         """Return how far an orbit is from repeating after half of its period, as the largest coordinate difference.
 
@@ -250,21 +266,22 @@ class Stroboscope:
 
         Returns None if the period is an even number of cycles, or if the sphere is in contact half a cycle later.
         """
-        if self.cycles % 2 == 0:
-            return None
-        self._run(one.z, one.p, 0.5)
-        state = self._simulation.state()
-        if state is None:
-            return None
-        turn, self.turn = self.turn, (self.turn + 0.5) % 1.0
+        away = np.abs(self._half(one.z, one.p) - one.z).max() if self.cycles % 2 else np.nan
+        return float(away) if np.isfinite(away) else None
+
+    def _half(self, z: Real, p: float) -> Real:
+        """Return the mirror image of the state half of an odd number of cycles after z, NaN if in contact then."""
+        turn = self.turn
         try:
-            z = state[self._free] / self.scale
-            if self.cycles > 1:
-                self._run(z, one.p, self.cycles // 2)
-                return self._apart(-one.z)
-            return float(np.abs(z + one.z).max())
+            self._run(z, p, 0.5)
+            state = self._simulation.state()
+            self.turn = (turn + 0.5) % 1.0
+            if state is not None and self.cycles > 1:
+                self._run(state[self._free] / self.scale, p, self.cycles // 2)
+                state = self._simulation.state()
         finally:
             self.turn = turn
+        return np.full(len(z), math.nan) if state is None else -state[self._free] / self.scale
 
     def _apart(self, z: Real) -> float | None:
         state = self._simulation.state()

@@ -11,18 +11,17 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Heat maps of a map study: reduction of DT over two axes, with outlined regimes and predicted motions."""
+"""Heat maps of a map study: reduction of DT and regimes over two axes, with predicted motions."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.drawing import Drawn, new_axes, style
+from impact_rig.drawing import INK, Drawn, legend_outside, new_axes, style
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import from_flat
 from impact_rig_studies import prediction
@@ -34,10 +33,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
-WORDS = ("no impacts", "two impacts per cycle", "periodic", "modulated", "chaotic or intermittent")
-OUTLINES = {QUIET: "#1b1f24", MODULATED: "#ff9347", CHAOTIC: "#ff6b6b", TWO: "#ffffff"}
-"""Colour in which the border of a class of motion is drawn, in drawing order; the rest of the map is periodic."""
-_COLUMNS = 2
+REGIMES = {
+    QUIET: ("no impacts", "#d9dde3"), TWO: ("two impacts per cycle", "#8ec5ea"),
+    OTHER: ("periodic otherwise", "#0072b2"), MODULATED: ("modulated", "#e08a00"),
+    CHAOTIC: ("chaotic or intermittent", "#1b1f24"), NONE: ("no result", "#ffffff"),
+}  # fmt: skip
+"""Legend text and colour of each class; the colours differ in lightness, for readers with any colour vision."""
+PREDICTED = "#e5007d"  # colour of the predicted limits
 APART = 0.01  # relative difference of DT from which the two directions count as two answers
 
 
@@ -92,28 +94,25 @@ def _drawn(
     (x_name, x), (y_name, y) = list(plan.axes.items())[:2]
     (x_label, x_factor), (y_label, y_factor) = label_of(x_name), label_of(y_name)
     x_edges, y_edges = _edges(np.asarray(x) * x_factor), _edges(np.asarray(y) * y_factor)
+    signed = "down" in unit
     with style():
-        figure, (axis,) = new_axes(4.0)
-        axis.grid(visible=False)
-        signed = "down" in unit
+        figure, panes = new_axes(4.0 if signed else 6.4, (1.0,) if signed else (1.0, 1.0))
         limit = float(np.nanmax(np.abs(z))) if signed and np.isfinite(z).any() else None
-        mesh = axis.pcolormesh(
+        mesh = panes[0].pcolormesh(
             x_edges, y_edges, z.T, cmap="RdBu_r" if signed else "viridis", rasterized=True,
             vmin=-limit if limit else None, vmax=limit,
         )  # fmt: skip
-        figure.colorbar(mesh, ax=axis, label=unit)
+        figure.colorbar(mesh, ax=panes[0], label=unit)
         if not signed:
-            _outline(axis, x_edges, y_edges, groups)
-            _predicted(axis, plan, page)
-        axis.set(xlabel=x_label, ylabel=y_label, xlim=x_edges[[0, -1]], ylim=y_edges[[0, -1]])
-        axis.set_title(title, loc="left")
-        handles, labels = axis.get_legend_handles_labels()
-        if handles:
-            figure.legend(
-                handles, labels, loc="outside lower center", ncols=_COLUMNS, facecolor="#9aa4b0", frameon=True
-            )
-        what = "Measured on the mechanics, without instruments; lines are the borders of the regimes."
-        return Drawn(name, figure, f"{title}. {what}")
+            _regimes(panes[1], x_edges, y_edges, groups)
+            _predicted(panes, plan, page)
+        for axis in panes:
+            axis.grid(visible=False)
+            axis.set(ylabel=y_label, xlim=x_edges[[0, -1]], ylim=y_edges[[0, -1]])
+        panes[0].set_title(title, loc="left")
+        panes[-1].set(xlabel=x_label)
+        legend_outside(figure, panes[-1], 3)
+        return Drawn(name, figure, f"{title}. Measured on the mechanics, without instruments.")
 
 
 def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,27 +121,18 @@ def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[1.5 * x[0] - 0.5 * x[1]], middle, [1.5 * x[-1] - 0.5 * x[-2]]])
 
 
-def _outline(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
-    """Draw the borders of each class of motion between the cells with the edges x and y; `groups` are the classes."""
-    from matplotlib.collections import LineCollection  # noqa: PLC0415  # only when something is drawn
+def _regimes(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
+    """Fill the cells with the edges x and y with the colours of their classes `groups`, which the legend names."""
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
 
-    for group, colour in OUTLINES.items():
-        inside = np.pad(groups == group, 1)
-        lines = [
-            [(x[i], y[j]), (x[i], y[j + 1])]
-            for i, j in itertools.product(range(len(x)), range(len(y) - 1))
-            if inside[i, j + 1] != inside[i + 1, j + 1]
-        ]
-        lines += [
-            [(x[i], y[j]), (x[i + 1], y[j])]
-            for i, j in itertools.product(range(len(x) - 1), range(len(y)))
-            if inside[i + 1, j] != inside[i + 1, j + 1]
-        ]
-        if lines:
-            axis.add_collection(LineCollection(lines, colors=colour, linewidths=0.7, label=WORDS[group]))
+    colours = ListedColormap([REGIMES[group][1] for group in sorted(REGIMES)])
+    axis.pcolormesh(x, y, groups.T, cmap=colours, vmin=-0.5, vmax=len(REGIMES) - 0.5, rasterized=True)
+    for group in np.unique(groups).tolist():
+        word, colour = REGIMES[group]
+        axis.plot([], [], "s", color=colour, markeredgecolor=INK, markeredgewidth=0.5, label=word)
 
 
-def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
+def _predicted(panes: Sequence[Axes], plan: MapPlan, page: float | None) -> None:
     """Draw where a stable motion with two symmetric impacts per cycle is predicted, on a map of gap and frequency.
 
     `page` is the value of the map's third axis, None without one. Nothing is drawn if the prediction does not apply.
@@ -150,7 +140,7 @@ def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
     names = list(plan.axes)
     if {*names[:2]} != {GAP, FREQUENCY} or plan.base.drive.kind != "current":
         return
-    frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 120)
+    frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 60)
     config, current = plan.base, plan.current_a
     if page is not None:
         config, current = (config, page) if names[2] == CURRENT else (from_flat(config, {names[2]: page}), current)
@@ -162,4 +152,5 @@ def _predicted(axis: Axes, plan: MapPlan, page: float | None) -> None:
     ends = [np.array([choose(gaps) if len(gaps) else np.nan for gaps in stable]) for choose in (np.min, np.max)]
     for gaps, label in zip(ends, ("two symmetric impacts: predicted", None), strict=True):
         x, y = (gaps, frequencies) if names[0] == GAP else (frequencies, gaps)
-        axis.plot(x, y, "--", color="#e59bc8", linewidth=1.4, label=label)
+        for axis in panes:
+            axis.plot(x, y, "--", color=PREDICTED, linewidth=1.4, label=label)

@@ -19,6 +19,7 @@ import csv
 import json
 import math
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import attrs
 import numpy as np
@@ -28,13 +29,14 @@ from kits.mechanics import TWO_PI, limit_case, sine
 from scipy.optimize import brentq
 
 from impact_rig.cli.main import main
+from impact_rig.drawing import legend_outside, new_axes, style
 from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.physics import Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.dynamics import orbits, plan
 from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
 from impact_rig_studies.maps import exponent
-from impact_rig_studies.maps.measure import MapRig, Settings
+from impact_rig_studies.maps.measure import NOTHING, MapRig, Settings
 from impact_rig_studies.prediction import LinearRig
 from qualification.prediction import job
 
@@ -456,12 +458,127 @@ def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
     assert [(row["attractor"], row["regime"]) for row in rows] == [(0.0, "periodic")] * 2
 
 
-@pytest.mark.parametrize(("kind", "regimes"), [("section", []), ("orbit", []), ("exponent", ["failed"])])
-def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, regimes, stuck, tmp_path):
+@pytest.mark.parametrize(("kind", "words"), [("section", []), ("orbit", ["no orbit: stuck"]), ("exponent", ["failed"])])
+def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, words, stuck, tmp_path):
     """The error of one motion must not end the study."""
     stuck(TAKEN_ALONG)
     text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
-    assert [row["regime"] for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == regimes
+    assert [row.get("regime", row.get("event")) for row in study(tmp_path, kind, f"{kind}: {text[kind]}")] == words
+
+
+ABSENT = {
+    "orbit": (
+        "set: {barriers.gap_m: 0.032}\norbit: {starts: [left, centre]}",
+        "no orbit from left: the motion is chaotic",
+    ),
+    "continue": (
+        "continue: {over: gap_m, from: 0.007, to: 0.022, at: [0.008, 0.020], points: 3}",
+        "no orbit from gap_m 0.008, left: the motion is chaotic",
+    ),
+    "section": ("section: {starts: [left, centre], cycles: 3}", "no section from left: the motion cannot be simulated"),
+}
+"""Two starts, of which the first gives no result."""
+
+
+@pytest.mark.parametrize("kind", ABSENT)
+def test_a_start_without_an_orbit_or_a_section_is_reported_and_not_in_the_legend(kind, tmp_path, capsys, monkeypatch):
+    """Such a start vanished without a word from the rows, and its name stayed in the legend."""
+    text, line = ABSENT[kind]
+    if kind == "section":
+        real, calls = MapRig.measure, []
+
+        def fail_first(self: MapRig, *asked: float) -> object:
+            calls.append(asked)
+            return NOTHING if len(calls) == 1 else real(self, *asked)
+
+        monkeypatch.setattr(MapRig, "measure", fail_first)
+    (tmp_path / "study.yaml").write_text(text)
+    out = tmp_path / "out"
+    assert main(["dynamics", kind, str(tmp_path / "study.yaml"), "--workers", "1", "--output", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines().count(line) == 1
+    assert json.loads((out / f"{kind}.json").read_text())["without_results"] == [line]
+    drawing = ET.fromstring((out / "figures" / f"dynamics_{kind}.svg").read_text())
+    shown = ["".join(text.itertext()) for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    absent = line.split(" from ")[1].split(":")[0]
+    assert absent not in shown
+    assert {"centre", "gap_m 0.02, left"} & {*shown}
+
+
+def test_a_study_of_chaotic_starts_alone_has_no_result(tmp_path, capsys):
+    (tmp_path / "study.yaml").write_text("set: {barriers.gap_m: 0.008}\norbit: {}")
+    assert main(["dynamics", "orbit", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "out")]) == 1
+    assert "no orbit from left: the motion is chaotic" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["orbit", "continue", "exponent"])
+def test_the_printed_table_and_the_data_tell_start_and_branch(kind, tmp_path, capsys):
+    (tmp_path / "small.yaml").write_text(SMALL)
+    words = ["dynamics", kind, str(tmp_path / "small.yaml"), "--workers", "1", "--no-figures"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / f"{kind}.json").read_text())["found"]
+    columns = ["start", "branch"] if kind == "continue" else ["start"]
+    for column in columns:
+        assert column in printed
+    assert list(found[0])[: len(columns)] == columns
+    for row in found:
+        assert any(line.split()[: len(columns)] == [str(row[one]) for one in columns] for line in printed.splitlines())
+
+
+def test_the_shares_of_a_basin_have_an_interval_within_0_and_1(tmp_path, capsys):
+    """The interval of a normal distribution reached below 0 for rare motions, and was empty for a share of 1."""
+    text = "set: {barriers.gap_m: 0.020}\nbasin: {sphere_position_m: [-0.009, 0.0], sphere_speed_m_s: "
+    for speeds, shares in (("[0.0, 0.4, 0.5]}", 2), ("[0.4]}", 1)):
+        (tmp_path / "study.yaml").write_text(text + speeds)
+        words = ["dynamics", "basin", str(tmp_path / "study.yaml"), "--workers", "1", "--no-figures"]
+        assert main([*words, "--output", str(tmp_path / str(shares))]) == 0
+        printed = " ".join(capsys.readouterr().out.split())
+        found = json.loads((tmp_path / str(shares) / "basin.json").read_text())
+        assert len(found["shares"]) == shares
+        total = found["rows"]
+        for name, share in found["shares"].items():
+            low, high = found["shares_95_percent"][name]
+            z = 1.959963984540054  # Wilson (1927): |share - p| = z sqrt(p (1 - p) / n) at both ends
+            for p in (low, high):
+                assert (share - p) ** 2 == pytest.approx(z * z * p * (1.0 - p) / total, abs=1e-12)
+            assert 0.0 <= low < high <= 1.0
+            assert low <= share <= high
+            assert f"lead to: {name} (95 % interval {100.0 * low:.2f} to {100.0 * high:.2f} %)" in printed
+
+
+@pytest.mark.parametrize(
+    ("way", "limits", "kinds"), [(-1.0, (11.0, 31.0), {"symmetry"}), (1.0, (11.0, 31.0), {"torus", "fold"})]
+)
+def test_an_unstable_orbit_is_called_after_the_change_that_it_comes_from(way, limits, kinds):
+    """The symmetric motion has a multiplier > 1 below 12.21 mm and beyond its fold: only the latter is a fold."""
+    rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.020}), Settings())
+    rig.reset()
+    strobe = Stroboscope(PLACE, "gap_m", 1e-3)
+    start = orbits.orbit(strobe, strobe.seen(rig, 20.0, rig.measure(9.1, 0.52)), 20.0)
+    arc = orbits.followed(strobe, start, way, limits, points=60, longest=1.0, noted=strobe.kind, moved=strobe.moved)
+    assert {one.note for one in arc.orbits if not one.stable} == kinds
+    assert {one.note for one in arc.orbits if one.stable} == {"stable"}
+
+
+@pytest.mark.parametrize("gap", [0.012176, 0.01219])
+def test_the_event_of_a_symmetric_orbit_that_just_lost_its_symmetry(gap, tmp_path):
+    (row,) = study(tmp_path, "orbit", f"set: {{barriers.gap_m: {gap}}}\norbit: {{}}")
+    assert row["multiplier_real"] > 1.0
+    assert row["event"] == "symmetry"
+
+
+@pytest.mark.parametrize("over", ["gap_m", "sphere.contact_stiffness_of_a_long_name"])
+def test_a_legend_is_within_its_figure(over):
+    """Three columns of long names were wider than the figure, which cut them off at both sides."""
+    with style():
+        figure, (axis,) = new_axes()
+        for number in range(7):
+            axis.plot([0.0, 1.0], [number, number], label=f"{over} {number}, left")
+        legend_outside(figure, axis, 3)
+        figure.draw_without_rendering()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert 0.0 <= box.x0 < box.x1 <= figure.bbox.width
 
 
 def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):

@@ -42,11 +42,13 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
         "gallery_study_hysteresis.png",
     ),
     "qualification/foreign_rig.py --draw build/foreign": ("comparison.png",),
-    "tools/map_picture.py": ("map_gap_frequency.png", "map_coexistence.png"),
-    "tools/map_picture.py dynamics": (
-        "dynamics_section.png", "dynamics_bifurcation.png", "dynamics_continue.png", "dynamics_exponent.png",
-        "dynamics_basin.png", "dynamics_orbit.png", "dynamics_current.png",
-    ),
+    **{
+        f"tools/map_picture.py {name}": (f"{name}.png",)
+        for name in (
+            "map_gap_frequency", "map_coexistence", "dynamics_section", "dynamics_bifurcation", "dynamics_continue",
+            "dynamics_exponent", "dynamics_basin", "dynamics_orbit", "dynamics_current",
+        )
+    },
     "qualification/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
 }  # fmt: skip

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import shutil
 import subprocess
 import sys
@@ -38,10 +39,10 @@ def write(path: Path, text: str) -> None:
 
 
 def main() -> None:
-    """Draw all figures, or those on the command line: pictures, or tools by the stem of their file."""
+    """Draw all figures, or those on the command line: pictures, or all of a tool by the stem of its file."""
     parser = argparse.ArgumentParser(prog="python -m tools.figures", description=__doc__)
     stems = {tool: Path(tool.split()[0]).stem for tool in there()}
-    known = ", ".join(dict.fromkeys((*DRAWN, *stems.values())))
+    known = ", ".join(dict.fromkeys((*DRAWN, *stems.values(), *itertools.chain(*there().values()))))
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"figures to draw (default: all): {known}")
     names = parser.parse_args().names
     for name, draw in DRAWN.items():
@@ -52,7 +53,7 @@ def main() -> None:
             write(path, text)
     for tool, stem in stems.items():
         program = NEEDS.get(tool)
-        if names and stem not in names:
+        if names and not {stem, *there()[tool]} & {*names}:
             continue
         if program and not shutil.which(program):
             sys.stdout.write(f"{tool}: its pictures are kept, because there is no {program}\n")

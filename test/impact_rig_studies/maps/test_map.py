@@ -23,6 +23,7 @@ from pathlib import Path
 import attrs
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgba
 
 from impact_rig.cli.main import main
 from impact_rig.errors import ConfigError, RecordingError
@@ -35,7 +36,7 @@ from impact_rig_studies.campaign.tasks import measure
 from impact_rig_studies.maps import optimum, run
 from impact_rig_studies.maps.measure import FAILED, MapRig, Settings
 from impact_rig_studies.maps.plan import DOWN, UP, MapLine, MapPlan, load_map, measure_line
-from impact_rig_studies.report.heat_map import QUIET, TWO, classes, heat_maps
+from impact_rig_studies.report.heat_map import QUIET, REGIMES, TWO, classes, heat_maps
 
 pytestmark = pytest.mark.heavy
 
@@ -283,6 +284,25 @@ def test_table_and_figures_are_written(small):
     up, _, _ = heat_maps(run.open_map(directory))
     assert "two impacts per cycle" in up.svg
     assert "predicted" in up.svg
+
+
+def test_each_cell_of_a_map_has_the_colour_of_its_regime(small):
+    """Outlines of neighbouring regimes hid one another, and could not be seen on cells of a similar colour."""
+    done = run.open_map(small[1])
+    up, _, _ = heat_maps(done)
+    (cells,) = up._figure.axes[1].collections
+    wanted = [to_rgba(REGIMES[group][1]) for group in classes(done.values[UP]).T.ravel().tolist()]
+    assert cells.to_rgba(cells.get_array()).reshape(-1, 4).tolist() == [list(colour) for colour in wanted]
+
+
+def test_the_colours_of_regimes_differ_for_any_colour_vision():
+    """The lightness L* (CIE 1976) of two colours differs by 10 at least; two oranges were the same to some readers."""
+    linear = [
+        [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgba(one)[:3]]
+        for _, one in REGIMES.values()
+    ]
+    light = sorted(116.0 * np.cbrt(np.array(linear) @ [0.2126, 0.7152, 0.0722]) - 16.0)
+    assert np.diff(light).min() > 10.0
 
 
 def test_exponents_stay_in_the_results_of_a_later_command(tmp_path: Path) -> None:
