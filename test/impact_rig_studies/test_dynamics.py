@@ -793,7 +793,7 @@ def test_a_study_is_exported_as_its_table(several, kind, tmp_path):
 
 def test_what_is_not_stored_of_a_study_is_refused_with_what_is(several, tmp_path, capsys):
     assert main(["export", str(several), "orbit", str(tmp_path / "rows.csv")]) == 1
-    assert f"{several} holds bifurcation, basin, got 'orbit'" in capsys.readouterr().err
+    assert f"{several} has no table 'orbit'; it has the tables bifurcation, basin" in capsys.readouterr().err
 
 
 def test_a_study_becomes_a_data_frame_and_a_dataset(several):
