@@ -102,7 +102,7 @@ def test_the_miniature_of_a_picture_is_its_own_plan_with_all_its_regimes(name):
 def differences(one: dict, other: dict) -> set[str]:
     """Return the keys, at any depth, whose values differ."""
     keys = {key for key in {*one, *other} if one.get(key) != other.get(key)}
-    nested = {key for key in keys if isinstance(one.get(key), dict) and "step" not in one[key]}  # not a range
+    nested = {key for key in keys if isinstance(one.get(key), dict) and isinstance(other.get(key), dict)}
     return (keys - nested).union(*(differences(one[key], other[key]) for key in nested))
 
 
