@@ -21,11 +21,15 @@ If a motion does not settle, `analysis.spread.classify` judges its regime by the
 impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
 measured too (`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
 the motion is chaotic. If they approach one another, it may also repeat after more cycles than `classify` considers.
+
+Near an unstable periodic orbit neighbouring motions separate as well. A motion that is still leaving such an orbit is
+therefore continued until it has left, and then measured again.
 Everything is deterministic, and starts either from a reset rig or from the state of the previous point.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -59,6 +63,8 @@ They are not counted and do not influence the regime.
 """
 WINDOWS, WINDOW_CYCLES = 16, 12  # number of windows of an exponent, and of cycles in each
 SURE = 2.0  # absolute exponent, in standard uncertainties, above which its sign counts as certain
+DEPARTURES = 10  # number of times that a motion is continued because it is leaving an unstable orbit
+_CLOSE = 0.05  # largest change per period, relative to the motion, of one that is still near the orbit it leaves
 LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbouring motions approach one another
 NEAR_S = TrackerSettings().wait_limit_s
 """Time [s] ahead within which a drifting sphere must reach a wall to count as one that will strike again.
@@ -207,6 +213,21 @@ class MapRig:
             return NOTHING
 
     def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
+        for _ in range(DEPARTURES):
+            reading = self._attempt(frequency_hz, amplitude, patient=True)
+            if reading is not None:
+                return reading
+        last = self._attempt(frequency_hz, amplitude, patient=False)
+        assert last is not None
+        return last
+
+    def _attempt(self, frequency_hz: float, amplitude: float, *, patient: bool) -> Reading | None:
+        """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
+
+        Returns:
+            The reading, or None if `patient` and the motion is leaving an unstable periodic orbit. If not patient, such
+            a motion has the regime that its record shows.
+        """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
         while True:
@@ -226,6 +247,10 @@ class MapRig:
         behaviour, drifts, sign = _behaviour(recent, settings), self._drifts(recent), 0
         if math.isfinite(behaviour.period) and not drifts:
             sign = self._parting(frequency_hz, amplitude, recent)
+            if sign > 0 and _leaves(record, frequency_hz):
+                if patient:
+                    return None
+                sign = 0
             if sign <= 0:
                 return _reading(recent, behaviour, self._config, frequency_hz)
         if done < _FIRST + settings.cycles:
@@ -239,6 +264,10 @@ class MapRig:
             undecided = behaviour.regime is not Regime.CHAOTIC or period is not None
             if sign == 0 and undecided:
                 sign = self._parting(frequency_hz, amplitude, recent)
+                if sign > 0 and _leaves(record, frequency_hz):
+                    if patient:
+                        return None
+                    sign = 0
             if sign > 0:
                 behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
             elif sign < 0 and period:
@@ -325,18 +354,45 @@ class MapRig:
         return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"])
 
 
+def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
+    """Return both bases and the sphere's position and velocity, relative to the mean amplitude of a base, by cycle.
+
+    The result has the shape (4, cycles). It is None if a base does not move.
+    """
+    series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
+    base, superior = np.abs(series[:2].sum(axis=1)).tolist()
+    if base == 0.0 or superior == 0.0:
+        return None
+    sizes = np.array([base, superior, superior, 2.0 * np.pi * frequency_hz * superior]) / series.shape[1]
+    return np.asarray(series / sizes[:, np.newaxis])
+
+
+def _leaves(record: _Record, frequency_hz: float) -> bool:
+    """Return whether a motion is leaving a periodic orbit: its small changes per period have grown to the very end.
+
+    While it leaves, neighbouring motions separate at the rate at which it leaves, although it may settle later. The
+    changes of a chaotic motion do not grow steadily.
+    """
+    series = _series(record.last(4 * CHUNK), frequency_hz)
+    if series is None:
+        return False
+    for period in range(1, LONGEST_PERIOD + 1):
+        change = np.abs(series[:, period:] - series[:, :-period]).max(axis=0)
+        largest_changes = [float(part.max()) for part in np.array_split(change, 4)]
+        if largest_changes[-1] <= _CLOSE and all(a < b for a, b in itertools.pairwise(largest_changes)):
+            return True
+    return False
+
+
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
     """Return the behaviour of a motion that has settled to a periodic one, or None if it has not (yet).
 
     It has settled if every number of a cycle changes from one period to the next by at most `settle_tolerance`, and all
     further changes, extrapolated as a geometric series, are together at most that large.
     """
-    series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
-    base, superior = np.abs(series[:2].sum(axis=1)).tolist()
-    if base == 0.0 or superior == 0.0:
+    series = _series(record, frequency_hz)
+    if series is None:
         return None
-    sizes = np.array([base, superior, superior, 2.0 * np.pi * frequency_hz * superior]) / CHUNK
-    series /= sizes[:, np.newaxis]
     longest = min(LONGEST_PERIOD, CHUNK // 4)
     near = np.abs(series[:, -1:] - series[:, -2 : -2 - longest : -1]).max(axis=0) <= settings.settle_tolerance
     for period in (np.flatnonzero(near) + 1).tolist():
