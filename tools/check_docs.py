@@ -60,6 +60,7 @@ RUN_BY = {
     ("docs/how-to/ros2_control.md", "xml"): "test/impact_rig/nodes/test_convert.py",
     ("docs/how-to/recording.md", "python"): "test/impact_rig/recording/test_guide.py",
     ("docs/how-to/recording.md", "python notebook"): "test/impact_rig/recording/test_guide.py",
+    ("docs/how-to/recording.md", "python studies"): "test/impact_rig_studies/test_dynamics.py",
     ("docs/how-to/testing.md", "python title"): "test/impact_rig/testing/test_guide.py",
     ("docs/how-to/testing.md", "sh"): "test/impact_rig/testing/test_guide.py",
     ("docs/how-to/testing.md", "sh fails"): "test/impact_rig/testing/test_guide.py",

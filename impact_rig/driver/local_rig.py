@@ -102,7 +102,7 @@ class LocalRig(RigDriver):
         name: str = "rig",
         *,
         analysis: Mapping[str, Any] | None = None,
-        record: Path | None = None,
+        record: str | Path | None = None,
         also: Collection[str] = (),
         kept_bytes: int | None = KEPT_BYTES,
     ) -> None:
@@ -236,7 +236,7 @@ class LocalRig(RigDriver):
         if self._recording is not None:
             self._recording.finish()
 
-    def _new_recording(self, directory: Path, names: Iterable[str], namespace: str) -> RunWriter:
+    def _new_recording(self, directory: str | Path, names: Iterable[str], namespace: str) -> RunWriter:
         provenance = Provenance(
             version=impact_rig.__version__,
             seed=self.config.daq.seed,

@@ -122,9 +122,9 @@ class RosRig(RigDriver):
         faults: Iterable[Fault] = (),
         name: str = "rig",
         *,
-        directory: Path | None = None,
+        directory: str | Path | None = None,
         analysis: Mapping[str, ParameterValue] | None = None,
-        record: Path | bool = False,
+        record: str | Path | bool = False,
         also: Collection[str] = (),
         mode: str = LOCKSTEP,
         hosted: bool = False,
@@ -148,9 +148,9 @@ class RosRig(RigDriver):
         with contextlib.ExitStack() as stack:
             if directory is None:
                 temporary = tempfile.TemporaryDirectory(prefix="impact_rig_", ignore_cleanup_errors=True)
-                directory = Path(stack.enter_context(temporary))
-            self.directory = directory
-            self._run = directory / RUN if record is True else record or None
+                directory = stack.enter_context(temporary)
+            self.directory = directory = Path(directory)
+            self._run = directory / RUN if record is True else Path(record) if record else None
             domain_id = domain_of_environment() if running else stack.enter_context(isolated_domain())
             self.processes = stack.enter_context(Processes(domain_id, directory / "logs", namespace or ""))
             self.client = stack.enter_context(
@@ -464,7 +464,9 @@ class RosRig(RigDriver):
         if before is not None and self._records_temporarily:
             shutil.rmtree(before, ignore_errors=True)
 
-    def restart(self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: Path | None = None) -> RosRig:
+    def restart(
+        self, config: RigConfig, analysis: Mapping[str, ParameterValue], record: str | Path | None = None
+    ) -> RosRig:
         """Restart the nodes with another configuration, in the same processes; return this rig.
 
         Scan rate, block length and the settings of `time` and `step` stay as they are.
@@ -503,9 +505,10 @@ class RosRig(RigDriver):
                 raise ImpactRigError(f"{node} did not {transition}: {client.status(node).message}")
         client.wait_active(*(node for node, transition in transitions if transition == "activate"))
         if record is not None:
-            client.set_parameters(self._recorder, {"directory": str(record.parent), "name": record.name})
+            run = Path(record)
+            client.set_parameters(self._recorder, {"directory": str(run.parent), "name": run.name})
             client.trigger(f"{self._recorder}/start")
-            self._run = record
+            self._run = run
         self.config, self.sample = config, 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""

@@ -128,19 +128,19 @@ class Run:
         BudgetError: the recording exceeds a limit of reading, such as the size of a chunk.
     """
 
-    def __init__(self, path: Path, rig: str | None = None) -> None:
-        self.path = path
+    def __init__(self, path: str | Path, rig: str | None = None) -> None:
+        self.path = Path(path)
         self._rig = rig
         self._ahead = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
         self.sources: list[McapSource] = []
         try:
-            for file in run_files(path):
+            for file in run_files(self.path):
                 self.sources.append(McapSource(file))
             self.topics = self._merge_topics()
             self._refuse_excess()
             self.prefixes = rigs.prefixes({name: one.topic.type_name for name, one in self.topics.items()})
             if rig is not None:
-                rigs.choose(self.prefixes, rig, path)
+                rigs.choose(self.prefixes, rig, self.path)
         except BaseException:
             self.close()
             raise
@@ -475,7 +475,7 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
         ...     print(sum(len(table.rows) for table in run.tables("daq/scan")))
         10000
     """
-    return Run(Path(path), rig)
+    return Run(path, rig)
 
 
 def run_files(path: Path) -> list[Path]:

@@ -110,7 +110,7 @@ class RunWriter:
 
     def __init__(
         self,
-        directory: Path,
+        directory: str | Path,
         *,
         provenance: Provenance | None,
         clock: Callable[[], float],
@@ -124,7 +124,7 @@ class RunWriter:
         tail: bool = False,
         ros_distro: str = "jazzy",
     ) -> None:
-        self.directory = directory
+        self.directory = Path(directory)
         self._provenance = provenance
         self._attachments = {attachment.name: attachment for attachment in attachments}
         self._account = account or Account()
@@ -144,7 +144,7 @@ class RunWriter:
         self._chunk_opened_s: float | None = None
         self._closed = False
         self._failure: RecordingError | None = None
-        make_room(directory)
+        make_room(self.directory)
         self._with_tail = tail
         self._tail: Tail | None = None
         self._file = self._open_file()

@@ -49,7 +49,7 @@ from impact_rig.system import extras, files
 CURVE = "curve"
 
 
-def export(run: Run, topic: str, target: Path) -> Path:
+def export(run: Run, topic: str, target: str | Path) -> Path:
     """Export a table topic of a run to a file.
 
     NPZ and UFF files are built in memory, the others are streamed.
@@ -60,7 +60,7 @@ def export(run: Run, topic: str, target: Path) -> Path:
         target: new file; its suffix selects the format: .csv, .npz, .parquet or .uff.
 
     Returns:
-        The path `target`.
+        The path of the file.
 
     Raises:
         RecordingError: the suffix is unknown, `target` exists or cannot be written, or the topic carries no tables or
@@ -68,14 +68,14 @@ def export(run: Run, topic: str, target: Path) -> Path:
         ImpactRigError: a library is missing: pyarrow for Parquet, pyuff for UFF.
 
     Examples:
-        >>> import pathlib, impact_rig
+        >>> import impact_rig
         >>> rig = impact_rig.LocalRig()
         >>> rig.run(seconds=1)
-        >>> with impact_rig.open_run(rig.save(pathlib.Path("exported"))) as run:
-        ...     print(impact_rig.export(run, "daq/scan", pathlib.Path("scans.csv")))
+        >>> with impact_rig.open_run(rig.save("exported")) as run:
+        ...     print(impact_rig.export(run, "daq/scan", "scans.csv"))
         scans.csv
     """
-    return write_columns(lambda: _batches(run, topic), target)
+    return write_columns(lambda: _batches(run, topic), Path(target))
 
 
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:

@@ -168,7 +168,7 @@ class Campaign:
 
 
 def load_campaign(
-    path: Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
+    path: str | Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
 ) -> Campaign:
     """Return the campaign that a YAML file defines, after checking all its combinations of values.
 
@@ -181,16 +181,17 @@ def load_campaign(
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
         BudgetError: the campaign has too many points.
     """
+    file = Path(path)
 
     def read(document: object, text: str) -> Campaign:
         top = axes.mapping("a campaign", document)
-        base = resolved or from_flat(axes.rig(top, path.parent, _refuse_owned), overrides or {})
-        campaign = _read(top, base, text, path.stem)
+        base = resolved or from_flat(axes.rig(top, file.parent, _refuse_owned), overrides or {})
+        campaign = _read(top, base, text, file.stem)
         budget.allow("points in a campaign", sum(study.points for study in campaign.studies), budget.POINTS)
         campaign.planned()
         return campaign
 
-    return load_plan(path, "campaign", read)
+    return load_plan(file, "campaign", read)
 
 
 def _read(top: Mapping[str, object], base: RigConfig, text: str, name: str) -> Campaign:

@@ -170,12 +170,13 @@ def finished(campaign: Campaign, directory: Path) -> Finished:
     return Finished(campaign=campaign, directory=directory, points=points, outcomes=outcomes)
 
 
-def open_finished(directory: Path) -> Finished:
+def open_finished(directory: str | Path) -> Finished:
     """Return the campaign in a directory, with its stored results.
 
     Raises:
         ConfigError: `directory` is not the directory of a campaign.
     """
+    directory = Path(directory)
     if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():
         raise ConfigError(
             f"{directory} is not a campaign's directory: create one with `impact-rig campaign config/paper.yaml "

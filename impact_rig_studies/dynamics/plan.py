@@ -76,7 +76,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 reason why the branch ends there; in a study of one orbit it is the kind of stability. A start from which no orbit is
 found has one row, whose event is `NO_ORBIT` with the reason, and whose numbers are NaN. Multipliers are sorted, the
 largest first, NaN where there are fewer. State values are those at the section, the phase `turn` of the drive.
-`settled_cycles` is the number of cycles that passed before an exponent was measured.
+`settled_cycles` is the number of cycles from which regime and DT were read before an exponent was measured.
 """
 NAMES = (FREQUENCY, CURRENT, GAP)
 UNRESOLVED = "the motion cannot be simulated"
@@ -220,12 +220,12 @@ def direction_of(task: StudyTask) -> str:
     return RESET if not task.what["marched"] else UP if values[0] <= values[-1] else DOWN
 
 
-def store(directory: Path) -> TaskStore[StudyTask]:
+def store(directory: str | Path) -> TaskStore[StudyTask]:
     """Return the store of the tasks of dynamics studies, with the plan file and results in a directory."""
-    return TaskStore(directory, "dynamics", "tasks", ("maps", "dynamics"))
+    return TaskStore(Path(directory), "dynamics", "tasks", ("maps", "dynamics"))
 
 
-def open_study(directory: Path, kind: str) -> FinishedStudy:
+def open_study(directory: str | Path, kind: str) -> FinishedStudy:
     """Read a dynamics study with its stored results, for tables and figures.
 
     Args:
@@ -246,13 +246,13 @@ def open_study(directory: Path, kind: str) -> FinishedStudy:
     return done
 
 
-def finished(plan: Plan, directory: Path) -> FinishedStudy:
+def finished(plan: Plan, directory: str | Path) -> FinishedStudy:
     """Return a planned study with the results that its output directory already contains, possibly none."""
     kept = store(directory)
     return FinishedStudy(plan, [(task, kept.get(task) or []) for task in plan.tasks])
 
 
-def kinds(directory: Path) -> list[str]:
+def kinds(directory: str | Path) -> list[str]:
     """Return the kinds of dynamics study of which a directory contains results, in the order of `KINDS`.
 
     Args:
@@ -272,7 +272,7 @@ def run(task: StudyTask) -> list[Row]:
     return _RUNNERS[task.kind](task, **task.what)
 
 
-def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
+def load(path: str | Path, kind: str, resolved: RigConfig | None = None) -> Plan:
     """Read the plan of one dynamics study from its section of a YAML file, and check all values.
 
     For a basin, this already simulates some starts, to find the periodic motions that they lead to.
@@ -285,7 +285,8 @@ def load(path: Path, kind: str, resolved: RigConfig | None = None) -> Plan:
     Raises:
         ConfigError: the file cannot be read, has no such section, or a value is wrong.
     """
-    return load_plan(path, "dynamics file", lambda document, text: _read(document, text, path, kind, resolved))
+    file = Path(path)
+    return load_plan(file, "dynamics file", lambda document, text: _read(document, text, file, kind, resolved))
 
 
 def exponent_at(line: MapLine, value: float) -> StudyTask:

@@ -246,7 +246,7 @@ def allow_time(points: int, workers: int | None = None) -> None:
         )
 
 
-def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
+def load_map(path: str | Path, workers: int | None = None, resolved: RigConfig | None = None) -> MapPlan:
     """Read the plan of a map from a YAML file, and check it, including its estimated computing time.
 
     Args:
@@ -259,15 +259,16 @@ def load_map(path: Path, workers: int | None = None, resolved: RigConfig | None 
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
         BudgetError: the map would take too long.
     """
+    file = Path(path)
 
     def read(document: object, text: str) -> MapPlan:
-        plan = _read(axes.mapping("a map", document), path, text, resolved)
+        plan = _read(axes.mapping("a map", document), file, text, resolved)
         if resolved is None:
             allow_time(plan.points, workers)
         _check_corners(plan)
         return plan
 
-    return load_plan(path, "map", read)
+    return load_plan(file, "map", read)
 
 
 def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig | None) -> MapPlan:

@@ -78,12 +78,12 @@ class FinishedMap:
         return tables.to_xarray(names, rows, grid=(*self.plan.axes, layers))
 
 
-def store(directory: Path) -> TaskStore[MapLine]:
+def store(directory: str | Path) -> TaskStore[MapLine]:
     """Return the store of a map's measured lines in its output directory."""
-    return TaskStore(directory, "map", "lines", ("maps",))
+    return TaskStore(Path(directory), "map", "lines", ("maps",))
 
 
-def finished(plan: MapPlan, directory: Path) -> FinishedMap:
+def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
     """Return a planned map with the results that its output directory already contains, possibly none."""
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
@@ -101,10 +101,10 @@ def finished(plan: MapPlan, directory: Path) -> FinishedMap:
         ordered = readings[::-1] if line.direction == DOWN else readings
         for i, name in enumerate(Reading._fields):
             values[line.direction][name][place] = [reading[i] for reading in ordered]
-    return FinishedMap(plan=plan, directory=directory, values=values)
+    return FinishedMap(plan=plan, directory=kept.directory, values=values)
 
 
-def open_map(directory: Path) -> FinishedMap:
+def open_map(directory: str | Path) -> FinishedMap:
     """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
 
     Raises:

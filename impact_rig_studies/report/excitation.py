@@ -183,10 +183,11 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
         "kurtosis_asked": float(scipy.stats.kurtosis(found.asked, fisher=False)),
         "kurtosis_reached": float(scipy.stats.kurtosis(found.reached, fisher=False)), "clipped_samples": 0,
     }  # fmt: skip
+    trials = "1 trial" if len(found.errors) == 1 else f"{len(found.errors)} trials"
     sentences = [
         (
-            f"After {len(found.errors)} trials, the rms error of the motion is {100 * error:.2f} % of the requested "
-            f"rms. The uncertainty of the sensor's noise and gain is {100 * found.floor:.2f} % of it (2u)."
+            f"After {trials}, the rms error of the motion is {100 * error:.2f} % of the requested rms. The "
+            f"uncertainty of the sensor's noise and gain is {100 * found.floor:.2f} % of it (2u)."
         ),
         (
             f"The response differs by {100 * bent:.2f} % from that of a linear rig with the measured response "

@@ -18,6 +18,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -651,6 +652,28 @@ def test_a_chaotic_sphere_that_leaves_the_structure_steady_is_called_chaotic(gap
     assert math.isnan(reading.period)
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "step"),
+    [
+        (0.012308, 0.012172, 0.000068),
+        (0.012227, 0.012176, 0.000017),
+        (0.012216, 0.012199, 0.000017),
+        (0.009800, 0.009680, 0.000003),
+    ],
+)
+def test_a_motion_that_slowly_leaves_an_orbit_that_has_become_unstable_is_not_called_chaotic(
+    first, last, step, tmp_path
+):
+    """The symmetric orbit loses its stability at 12.210 mm, and an orbit of five impacts in two cycles at 9.689 mm.
+
+    Just below, neighbouring motions separate as long as the motion is near the old orbit, but it settles to a new one.
+    """
+    values = np.arange(first, last - step / 2, -step).tolist()
+    text = f"bifurcation: {{over: gap_m, values: {values}, direction: down}}\n"
+    rows = study(tmp_path, "bifurcation", f"frequency_hz: 9.1\ncurrent_a: 0.52\n{text}")
+    assert {row["regime"] for row in rows} == {"periodic"}
+
+
 # Two motions at one place
 
 TWO_MOTIONS = ((9.1, 0.030), (9.1, 0.020), (9.1, 0.016), (9.0, 0.024), (9.2, 0.014))
@@ -794,6 +817,25 @@ def test_a_study_is_exported_as_its_table(several, kind, tmp_path):
 def test_what_is_not_stored_of_a_study_is_refused_with_what_is(several, tmp_path, capsys):
     assert main(["export", str(several), "orbit", str(tmp_path / "rows.csv")]) == 1
     assert f"{several} has no table 'orbit'; it has the tables bifurcation, basin" in capsys.readouterr().err
+
+
+def test_the_example_that_reads_finished_studies_runs(tmp_path, monkeypatch):
+    """It is in docs/how-to/recording.md, and names its directories by strings."""
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "recording.md"
+    pattern = re.compile(r"^```python studies\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+    (example,) = pattern.findall(page.read_text(encoding="utf-8"))
+    Path("map.yaml").write_text("axes: {gap_m: [0.006, 0.020], frequency_hz: [9.0, 9.1]}\n")
+    Path("study.yaml").write_text("frequency_hz: 9.1\nbifurcation: {over: gap_m, values: [0.018, 0.020]}\n")
+    options = ["--no-figures", "--workers", "1", "--output"]
+    assert main(["map", "map.yaml", *options, "runs/map_gap_frequency"]) == 0
+    assert main(["dynamics", "bifurcation", "study.yaml", *options, "runs/dynamics_nominal"]) == 0
+    names: dict[str, object] = {}
+    exec(compile(example, str(page), "exec"), names)
+    assert dict(names["regimes"].sizes) == {"gap_m": 2, "frequency_hz": 2, "direction": 1}
+    assert set(names["march"]["regime"]) == {"periodic"}
 
 
 def test_a_study_becomes_a_data_frame_and_a_dataset(several):
