@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.analysis.drawings import COVERAGE, time_traces
+from impact_rig.analysis.drawings import time_traces
 from impact_rig.analysis.tracker import TrackerState
+from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.driver import LocalRig
 from impact_rig.errors import ConfigError
@@ -83,7 +84,7 @@ class Record:
         value, u = self.transmissibility
         if not math.isfinite(value):
             return f"no DT: {' '.join((self.state.word, self.state.reason)).strip()}"
-        return f"DT {value:.2f} ± {COVERAGE * u:.2f} (2u) at {self.measurements[-1]['frequency']:g} Hz"
+        return f"DT {plus_minus(value, u)} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
         """Draw base, structure and acceleration in the newest half second against time, and return the figure.

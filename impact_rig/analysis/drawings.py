@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Real
 from impact_rig.analysis.frf import Frf
 from impact_rig.analysis.sine import SineFit
+from impact_rig.analysis.uncertainty_budget import COVERAGE
 from impact_rig.drawing import MUTED, PAPER_RED, WIDE_INCH, new_axes, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COVERAGE = 2.0  # length of error bars either way, in standard uncertainties
 HEIGHT_INCH = 4.5
 MARK_ABOVE = 1.04  # height of the impact marks over an axis; 1 is its upper edge, so they hide no pulse
 SMOOTHED_SAMPLES = 11

@@ -34,7 +34,27 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import U_CUBIC, Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, LASER
 
+COVERAGE = 2.0  # standard uncertainties in an expanded uncertainty, which covers about 95 % of cases
 AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
+
+
+def rounded(value: float, u: float) -> tuple[str, str]:
+    """Return a value and its expanded uncertainty 2u as text, both to the second significant digit of 2u.
+
+    Numbers that do not exist (NaN or infinite) become "-".
+    """
+    expanded = COVERAGE * u
+    if not (math.isfinite(value) and 0.0 < expanded < math.inf):
+        value_text, expanded_text = (f"{one:.6g}" if math.isfinite(one) else "-" for one in (value, expanded))
+        return value_text, expanded_text
+    places = 1 - int(f"{expanded:.1e}".partition("e")[2])
+    value_text, expanded_text = (f"{round(one, places):.{max(places, 0)}f}" for one in (value, expanded))
+    return value_text, expanded_text
+
+
+def plus_minus(value: float, u: float) -> str:
+    """Return a value with its expanded uncertainty as text, for example "63.57 ± 0.32"."""
+    return " ± ".join(rounded(value, u))
 
 
 def combined(rows: NDArray[np.void]) -> float:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.transmissibility import note_on
+from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.options import call
 from impact_rig.cli.parsers import analyses
 from impact_rig.cli.terminal import (
@@ -94,16 +95,14 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
         unsettled = rows[rows["status"] == Status.NOT_SETTLED.value.encode()]
         if len(unsettled):
             row = unsettled[-1]
-            spec = _places(row["transmissibility_uncertainty"])
             console.print(
-                f"DT {row['transmissibility']:{spec}} ± {2 * row['transmissibility_uncertainty']:{spec}} (2u) of "
+                f"DT {plus_minus(row['transmissibility'], row['transmissibility_uncertainty'])} (2u) of "
                 f"{row['cycles']:g} cycles at {row['frequency']:g} Hz, not settled: it may contain a transient"
             )
         return
     row = settled[-1]
-    spec = _places(row["transmissibility_uncertainty"])
     console.print(
-        f"DT {row['transmissibility']:{spec}} ± {2 * row['transmissibility_uncertainty']:{spec}} (2u), phase "
+        f"DT {plus_minus(row['transmissibility'], row['transmissibility_uncertainty'])} (2u), phase "
         f"{math.degrees(row['phase']):.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
         "measurements"
     )
@@ -117,17 +116,15 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     Rows without numbers are printed only if `everything`; otherwise one line counts them by their status.
     """
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
-    table = TextTable(right=("f [Hz]", "DT", "u(DT)", "phase [deg]", "gap [mm]", "impacts per cycle"))
+    table = TextTable(right=("f [Hz]", "DT", "± 2u", "phase [deg]", "gap [mm]", "impacts per cycle"))
     table.add_column("regime", no_wrap=True)
     table.add_column("status")
     shown = rows if everything else rows[measured]
-    uncertainties = shown["transmissibility_uncertainty"]
-    spec = _places(min(uncertainties[uncertainties > 0.0], default=math.nan))
     for row in shown:
         table.add_row(
-            figure(row["frequency"], ".3f", ""), figure(row["transmissibility"], spec, ""),
-            figure(row["transmissibility_uncertainty"], spec, ""), figure(math.degrees(row["phase"]), ".2f", ""),
-            figure(row["gap"] * 1e3, "g", "unknown"), figure(row["impacts_per_cycle"], ".2f", ""),
+            figure(row["frequency"], ".3f"), *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
+            figure(math.degrees(row["phase"]), ".2f"), figure(row["gap"] * 1e3, "g", "unknown"),
+            figure(row["impacts_per_cycle"], ".2f"),
             row["regime"].decode(), row["status"].decode(),
         )  # fmt: skip
     if table.row_count:
@@ -139,14 +136,6 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
             f"rows left out because they have no value of DT: {why} (--all shows them; docs/explanation/analysis.md "
             "explains these words)"
         )
-
-
-def _places(u: float) -> str:
-    """Return the format of a value with the standard uncertainty `u`, and of `u` itself.
-
-    It has at least three decimal places, and as many as two significant digits of `u` need.
-    """
-    return f".{min(max(3, 1 - math.floor(math.log10(u))), 12)}f" if 0.0 < u < math.inf else ".3f"
 
 
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
@@ -189,7 +178,7 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     for line in sorted({*shown.tolist(), peak}):
         size = abs(found.h1[line])
         table.add_row(
-            f"{found.frequency_hz[line]:.3f}", figure(size, ".3f"), figure(2 * size * found.u_relative[line], ".3f"),
+            f"{found.frequency_hz[line]:.3f}", *rounded(size, size * found.u_relative[line]),
             figure(abs(found.h2[line]), ".3f"), figure(abs(found.hv[line]), ".3f"),
             figure(math.degrees(np.angle(found.h1[line])), ".2f"), figure(found.coherence[line], ".4f"),
             style="bold" if line == peak else None,
@@ -266,14 +255,14 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             "u_phase_rad": measured.u_phase_rad if measured else None,
             "status": measured.status.value if measured else "no_motion_pair",
         })  # fmt: skip
-    table = TextTable(title=f"Sines of {reference.frequency_hz:.6f} ± {2 * reference.u_frequency_hz:.1g} Hz")
+    table = TextTable(title=f"Sines of {plus_minus(reference.frequency_hz, reference.u_frequency_hz)} Hz")
     for heading in ("channel", "unit", "amplitude", "± 2u", "phase [deg]", "± 2u", "mean", "residual, rms"):
         table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right", no_wrap=True)
     for name, fit in found.fits.items():
         table.add_row(
-            name, units[name], figure(fit.amplitude, ".6g"), figure(2 * fit.u_amplitudes[0], ".2g"),
-            figure(math.degrees(fit.phase_rad - reference.phase_rad), ".3f"),
-            figure(2 * math.degrees(fit.u_phases_rad[0]), ".2g"), figure(fit.offset, ".4g"),
+            name, units[name], *rounded(fit.amplitude, fit.u_amplitudes[0]),
+            *rounded(math.degrees(fit.phase_rad - reference.phase_rad), math.degrees(fit.u_phases_rad[0])),
+            figure(fit.offset, ".4g"),
             figure(fit.residual_rms, ".2g"),
         )  # fmt: skip
     console.print(table)
@@ -293,10 +282,9 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         )
         return 1
     phase, u_phase = math.degrees(measured.phase_rad), math.degrees(measured.u_phase_rad)
-    spec = _places(measured.u_transmissibility)
     console.print(
-        f"DT {measured.transmissibility:{spec}} ± {2 * measured.u_transmissibility:{spec}} (2u), phase {phase:.2f}° ± "
-        f"{2 * u_phase:.2f}° (2u), corrected for lag and skew; status {measured.status.value}"
+        f"DT {plus_minus(measured.transmissibility, measured.u_transmissibility)} (2u), phase "
+        f"({plus_minus(phase, u_phase)})° (2u), corrected for lag and skew; status {measured.status.value}"
     )
     return 0
 

@@ -166,7 +166,7 @@ def _why_nothing(found: RunMeasurements, seconds: float) -> str:
 def _print(console: Console, found: RunMeasurements) -> None:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
     from impact_rig.analysis.transmissibility import note_on  # noqa: PLC0415
-    from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
+    from impact_rig.analysis.uncertainty_budget import budget, plus_minus  # noqa: PLC0415
 
     whole = budget(found.rows, Calibration.from_info(found.info))
     relative = whole.u_transmissibility / whole.transmissibility
@@ -185,7 +185,7 @@ def _print(console: Console, found: RunMeasurements) -> None:
     console.print(table)
     last = found.rows[-1]
     console.print(
-        f"DT {whole.transmissibility:.3f} ± {2.0 * whole.u_transmissibility:.3f} (2u) at {last['frequency']:g} Hz, "
+        f"DT {plus_minus(whole.transmissibility, whole.u_transmissibility)} (2u) at {last['frequency']:g} Hz, "
         f"{case_of(last['gap'])}, {last['regime'].decode()}"
     )
     if note := note_on(last):

@@ -20,6 +20,7 @@ import contextlib
 import json
 import time
 
+from impact_rig.analysis.uncertainty_budget import rounded
 from impact_rig.cli.terminal import (
     Console,
     Counted,
@@ -136,11 +137,11 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
         right=("gap [mm]", "DT", "± 2u", "paper [%]", "ours [%]", "± 2u", "difference"),
     )
     u = reductions.dt_uncertainty
-    table.add_row("none", f"{reductions.dt_no_sphere:.2f}", figure(2 * u[0.0], ".2f"), "", "", "", "", end_section=True)
+    table.add_row("none", *rounded(reductions.dt_no_sphere, u[0.0]), "", "", "", "", end_section=True)
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", f"{reductions.dt[gap]:.2f}", figure(2 * u[gap], ".2f"),
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", f"{value:.2f}", figure(2 * spread[gap], ".2f"),
+            f"{gap * 1e3:g}", *rounded(reductions.dt[gap], u[gap]),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}", *rounded(value, spread[gap]),
             f"{round(errors[gap], 1) + 0.0:+.1f}",
         )  # fmt: skip
     console.print(table)

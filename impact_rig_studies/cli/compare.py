@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from impact_rig.analysis.uncertainty_budget import rounded
 from impact_rig.cli.terminal import (
     Console,
     TextTable,
@@ -96,8 +97,8 @@ def _print(console: Console, found: Comparison) -> None:
         dt, phase = one.off("transmissibility"), one.off("phase")
         row = one.measured
         gap = "?" if math.isnan(one.gap_m) else f"{1e3 * one.gap_m:g}" if one.gap_m else "no sphere"
-        cells = [gap, f"{one.frequency_hz:g}", figure(row["transmissibility"], ".5g")]
-        cells.append(figure(2 * row["transmissibility_uncertainty"], ".2g"))
+        cells = [gap, f"{one.frequency_hz:g}"]
+        cells += rounded(row["transmissibility"], row["transmissibility_uncertainty"])
         if one.model is None:
             table.add_row(*cells, "-", "-", "-", "the model does not settle", style="yellow")
         else:

@@ -27,6 +27,7 @@ from rich.progress import BarColumn, Progress, TaskID, TimeElapsedColumn
 
 from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.uncertainty_budget import rounded
 from impact_rig.cli.rig_options import run_directory
 from impact_rig.cli.terminal import (
     Console,
@@ -225,7 +226,7 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
     )
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", figure(reductions.dt[gap], ".2f"), figure(value, ".2f"), figure(2 * spread[gap], ".2f"),
+            f"{gap * 1e3:g}", figure(reductions.dt[gap], ".2f"), *rounded(value, spread[gap]),
             f"{paper.REDUCTION_PERCENT[gap]:.1f}", figure(errors[gap], "+.1f"),
         )  # fmt: skip
     console.print(table)

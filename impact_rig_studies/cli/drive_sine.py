@@ -26,6 +26,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import rig_of, run_directory
 from impact_rig.cli.terminal import Console, TextTable, figure, tell_results
@@ -134,8 +135,8 @@ def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, 
     for row in rows:
         error = [figure(100 * row["error"], "+.2f"), "" if row["held"] else "NOT HELD"] if held else []
         table.add_row(
-            f"{row['frequency']:g}", figure(row["transmissibility"], ".3f"),
-            figure(2 * row["transmissibility_uncertainty"], ".3f"), figure(row["base_amplitude"] * 1e6, ".2f"),
+            f"{row['frequency']:g}", *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
+            figure(row["base_amplitude"] * 1e6, ".2f"),
             figure(row["laser_amplitude"] * 1e3, ".3f"), figure(row["current_amplitude"], ".4f"),
             *error, row["regime"].decode(),
         )  # fmt: skip
@@ -185,8 +186,8 @@ def run_lock(arguments: argparse.Namespace) -> int:
     found = mean(dwelt, lock.u_gain)
     slopes = [np.polyfit(dwelt["time"], dwelt[name], 1)[0] for name in ("frequency", "transmissibility")]
     sentence = (
-        f"locked after {locked_s:.1f} s; {found.frequency_hz:.5f} ± "
-        f"{2 * found.u_frequency_hz:.1g} Hz, DT {found.dt:.2f} ± {2 * found.u_dt:.2g} (2u); drift per minute: "
+        f"locked after {locked_s:.1f} s; {plus_minus(found.frequency_hz, found.u_frequency_hz)} Hz, "
+        f"DT {plus_minus(found.dt, found.u_dt)} (2u); drift per minute: "
         f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
     )
     _tell(arguments, directory, table, sentence, content)
@@ -211,8 +212,8 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     for one in points:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
-            one.direction, f"{one.current_a:.4f}", figure(one.frequency_hz, ".4f"),
-            figure(2 * one.u_frequency_hz, ".1g"), figure(one.dt, ".2f"), figure(2 * one.u_dt, ".2g"),
+            one.direction, f"{one.current_a:.4f}", *rounded(one.frequency_hz, one.u_frequency_hz),
+            *rounded(one.dt, one.u_dt),
             figure(one.superior_m * 1e3, ".3f"), f"{gap_m / one.superior_m:.2f}" if gap_m != NO_SPHERE else "-",
             figure(one.phase_deg, ".2f"), ", ".join(words),
         )  # fmt: skip

@@ -20,6 +20,7 @@ import math
 
 import numpy as np
 
+from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.cli.analyze import draw_figure, prepare_figure
 from impact_rig.cli.terminal import Console, TextTable, tell_json
 from impact_rig.recording import Run
@@ -55,7 +56,7 @@ def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         )
         return 1
     console.print(
-        f"coefficient of restitution e = {found.restitution:.4f} ± {2 * found.u_restitution:.4f} (2u) from "
+        f"coefficient of restitution e = {plus_minus(found.restitution, found.u_restitution)} (2u) from "
         f"{found.drops} drops"
     )
     return 0

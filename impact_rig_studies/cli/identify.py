@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.terminal import (
     Console,
     TextTable,
@@ -120,8 +121,8 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             why = REASONS.get(decay.status, decay.status.value)
             raise ImpactRigError(f"the free decay cannot be measured: {why}")
         console.print(
-            f"free decay: f_n {decay.natural_frequency_hz:.6f} ± {2 * decay.u_natural_frequency_hz:.6f} Hz, "
-            f"ζ {decay.damping_ratio:.6f} ± {2 * decay.u_damping_ratio:.6f} (2u)"
+            f"free decay: f_n {plus_minus(decay.natural_frequency_hz, decay.u_natural_frequency_hz)} Hz, "
+            f"ζ {plus_minus(decay.damping_ratio, decay.u_damping_ratio)} (2u)"
         )
     if "sine" not in arguments.without:
         frequencies = curves.frequencies(NO_SPHERE) if done.imported else FREQUENCIES_HZ
@@ -144,11 +145,11 @@ def print_identified(console: Console, found: Identified) -> None:
     table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):
-            table.add_row(name, figure(found.value(name), ".7g"), figure(2 * found.u(name), ".2g"), unit, "")
+            table.add_row(name, *rounded(found.value(name), found.u(name)), unit, "")
         else:
             table.add_row(name, "-", "-", unit, "not determined by these data", style="bright_black")
     if math.isfinite(found.restitution):
-        table.add_row("e", f"{found.restitution:.5g}", figure(2 * found.u_restitution, ".2g"), "-", "nominal")
+        table.add_row("e", *rounded(found.restitution, found.u_restitution), "-", "nominal")
     console.print(table)
     for gap, u in found.irregular.items():
         console.print(
@@ -187,10 +188,10 @@ def _print_alternatives(console: Console, found: Identified) -> None:
     )
     table = TextTable("Explanations", left=("probability",), right=("e", *SCALED))
     for one in found.alternatives:
-        cells = [f"{one.restitution:.4f} ± {2 * one.u_restitution:.2g}"]
+        cells = [plus_minus(one.restitution, one.u_restitution)]
         for name in SCALED:
             value, u = (float(column[NAMES.index(name)]) for column in (np.exp(one.log_constants), one.u_relative))
-            cells.append(f"{value:.5g} ± {2 * u * value:.2g}")
+            cells.append(plus_minus(value, u * value))
         table.add_row(f"{100 * one.share:.0f} %", *cells)
     console.print(table)
 

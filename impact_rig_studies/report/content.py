@@ -27,12 +27,12 @@ from pathlib import Path
 import attrs
 from markupsafe import Markup
 
+from impact_rig.analysis.uncertainty_budget import COVERAGE, plus_minus
 from impact_rig.drawing import Drawn
 from impact_rig.system import files
 from impact_rig_studies.report import page
 
 FILE_NAME = "report.json"
-COVERAGE = 2.0  # length of an error bar, or of a number after ±, in standard uncertainties
 LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is left out
 
 
@@ -50,11 +50,11 @@ def number(value: float, spec: str = ".6g") -> Cell:
     return Cell(format(value, spec), value) if math.isfinite(value) else Cell("", None)
 
 
-def plus_minus(value: float, u: float, spec: str) -> Cell:
+def uncertain(value: float, u: float) -> Cell:
     """Return a cell with a value and, after ±, its expanded uncertainty: `COVERAGE` standard uncertainties `u`."""
     if not (math.isfinite(value) and math.isfinite(u)):
-        return number(value, spec)
-    return Cell(f"{value:{spec}} ± {COVERAGE * u:{spec}}", (value, COVERAGE * u))
+        return number(value)
+    return Cell(plus_minus(value, u), (value, COVERAGE * u))
 
 
 class Content:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.uncertainty_budget import COVERAGE
 from impact_rig.drawing import (
     CHAOTIC,
     GRID,
@@ -51,7 +52,6 @@ from impact_rig_studies.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDU
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.campaign.statements import MissingError, peak_hz
 from impact_rig_studies.reduction import Damper, damper
-from impact_rig_studies.report.content import COVERAGE
 from impact_rig_studies.report.studies import Stretch, predicted
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from impact_rig.analysis.uncertainty_budget import budget
+from impact_rig.analysis.uncertainty_budget import COVERAGE, budget
 from impact_rig.config import Origin
 from impact_rig.config.tree import Value
 from impact_rig.physics.contact import from_config
@@ -29,7 +29,7 @@ from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION
 from impact_rig_studies.campaign.results import Point
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.campaign.statements import Variation
-from impact_rig_studies.report.content import COVERAGE, LEAST_SHARE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.content import LEAST_SHARE, Cell, Content, number, uncertain
 from impact_rig_studies.report.dt import dampers
 from impact_rig_studies.report.page import paragraph
 
@@ -50,12 +50,12 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
     if not ours:
         return
     u = reductions.dt_uncertainty
-    rows: list[list[str | Cell]] = [["none", plus_minus(reductions.dt_no_sphere, u[NO_SPHERE], ".2f"), "", "", ""]]
+    rows: list[list[str | Cell]] = [["none", uncertain(reductions.dt_no_sphere, u[NO_SPHERE]), "", "", ""]]
     for gap in sorted(ours):
         difference = round(errors[gap], 1) + 0.0
         rows.append([
-            number(gap * 1e3, "g"), plus_minus(reductions.dt[gap], u[gap], ".2f"),
-            number(REDUCTION_PERCENT[gap], ".1f"), plus_minus(ours[gap], spread[gap], ".2f"),
+            number(gap * 1e3, "g"), uncertain(reductions.dt[gap], u[gap]),
+            number(REDUCTION_PERCENT[gap], ".1f"), uncertain(ours[gap], spread[gap]),
             Cell(f"{difference:+.1f}", errors[gap]),
         ])  # fmt: skip
     headings = ["gap (mm)", f"DT at {FREQUENCY_HZ:g} Hz", "paper (%)", "ours (%)", "difference"]
@@ -77,8 +77,8 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
     at_hz = max(counts, key=lambda frequency: (counts.count(frequency), -abs(frequency - FREQUENCY_HZ)))
     rows: list[list[str | Cell]] = [
         [
-            number(gap * 1e3, "g"), plus_minus(100.0 * one.added_mass, 100.0 * one.u_added_mass, ".3f"),
-            plus_minus(100.0 * one.loss_factor, 100.0 * one.u_loss_factor, ".3f"),
+            number(gap * 1e3, "g"), uncertain(100.0 * one.added_mass, 100.0 * one.u_added_mass),
+            uncertain(100.0 * one.loss_factor, 100.0 * one.u_loss_factor),
         ]
         for gap, own in found.items() if (one := own.get(at_hz)) is not None
     ]  # fmt: skip
@@ -140,7 +140,7 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
     rows.append(["expanded", f"{COVERAGE:g} combined", "", *whole, ""])
     headings = ["source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)"]
     yield content.table("uncertainty_budget", headings, rows, [3, 4, 5])
-    result = Cell(f"{found.transmissibility:.2f} ± {expanded:.2f}", (found.transmissibility, expanded))
+    result = uncertain(found.transmissibility, found.u_transmissibility)
     yield content.table("uncertainty_result", ["result", "DT"], [[chosen.label, result]], [1])
 
 

@@ -34,7 +34,7 @@ from impact_rig.analysis import drawings
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import samples_of
 from impact_rig.analysis.tracker import Findings
-from impact_rig.analysis.uncertainty_budget import Budget, budget
+from impact_rig.analysis.uncertainty_budget import COVERAGE, Budget, budget, plus_minus
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.drawing import SERIES, WIDTH_INCH, Drawn, Line, legend_below, new_axes, style
 from impact_rig.recording import Run, open_run
@@ -49,7 +49,7 @@ from impact_rig.states import Method
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.reduction import reduction
 from impact_rig_studies.report import cover
-from impact_rig_studies.report.content import COVERAGE, LEAST_SHARE, Cell, Content, number, plus_minus
+from impact_rig_studies.report.content import LEAST_SHARE, Cell, Content, number, uncertain
 from impact_rig_studies.report.page import contents, heading, page, paragraph, section, tiles, title
 from impact_rig_studies.report.page import cover as cover_block
 
@@ -199,11 +199,11 @@ def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iter
     yield content.fact("measured", len(data.rows)), "settled measurement" + "s" * (len(data.rows) != 1)
     yield content.fact("failed", len(data.failed)), "without a settled measurement"
     for row in best:
-        dt, u = float(row["transmissibility"]), COVERAGE * float(row["transmissibility_uncertainty"])
+        dt, u = float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
         content.fact("largest_dt", dt)
-        content.fact("largest_dt_expanded_uncertainty", u)
+        content.fact("largest_dt_expanded_uncertainty", COVERAGE * u)
         where = f"{case_of(float(row['gap']))}, {content.fact('largest_dt_hz', float(row['frequency']), '.6g')} Hz"
-        yield f"{dt:.3f} ± {u:.3f}", f"largest DT: {where}"
+        yield plus_minus(dt, u), f"largest DT: {where}"
 
 
 def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
@@ -214,8 +214,8 @@ def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
     cells: list[list[str | Cell]] = [
         [
             case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
-            plus_minus(float(row["transmissibility"]), float(row["transmissibility_uncertainty"]), ".3f"),
-            plus_minus(math.degrees(row["phase"]), math.degrees(row["phase_uncertainty"]), ".2f"),
+            uncertain(float(row["transmissibility"]), float(row["transmissibility_uncertainty"])),
+            uncertain(math.degrees(row["phase"]), math.degrees(row["phase_uncertainty"])),
             number(1e6 * float(row["base_amplitude"]), ".4g"), number(1e3 * float(row["laser_amplitude"]), ".4g"),
             number(float(row["current_amplitude"]) or math.nan, ".4g"), number(float(row["impacts_per_cycle"]), ".3g"),
             row["regime"].decode(),
@@ -275,7 +275,7 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
         found = reduction(reference, row[None], calibration)
         cells.append([
             case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
-            plus_minus(found.percent, found.u_points, ".2f"),
+            uncertain(found.percent, found.u_points),
         ])  # fmt: skip
     if cells:
         yield content.table("reductions", ["case", "frequency (Hz)", "reduction of DT ± 2u (%)"], cells, [1, 2])
@@ -291,12 +291,13 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
     found = budget(row, calibration)
     relative = found.u_transmissibility / found.transmissibility
     of_a, effective = degrees_of_freedom(found, row[0])
-    dt = content.fact("budget_dt", found.transmissibility, ".3f")
-    expanded = content.fact("budget_expanded_uncertainty", COVERAGE * found.u_transmissibility, ".3f")
+    result = plus_minus(found.transmissibility, found.u_transmissibility)
+    content.fact("budget_dt", found.transmissibility)
+    content.fact("budget_expanded_uncertainty", COVERAGE * found.u_transmissibility)
     dof = "more than 1000" if effective > 1000.0 else content.fact("budget_degrees_of_freedom", effective, ".3g")
     yield paragraph(
         f"{case_of(float(row['gap'][0]))}, {content.fact('budget_hz', float(row['frequency'][0]), '.6g')} Hz: "
-        f"DT = {dt} ± {expanded}. The number behind ± is an expanded uncertainty: the combined standard uncertainty "
+        f"DT = {result}. The number behind ± is an expanded uncertainty: the combined standard uncertainty "
         f"times the coverage factor k = {content.fact('coverage_factor', COVERAGE, 'g')}, coverage about 95 %. "
         f"Effective degrees of freedom (Welch–Satterthwaite): {dof}; type A has "
         f"{content.fact('budget_degrees_of_freedom_a', of_a, 'g')}, and Student's factor for them is part of its u; "

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration
+from impact_rig.analysis.uncertainty_budget import COVERAGE
 from impact_rig.drawing import INK, PREDICTED, SERIES, Drawn, Line, legend_below, new_axes
 from impact_rig.errors import ConfigError
 from impact_rig.physics.linear_response import transmissibility
@@ -36,7 +37,6 @@ from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.dynamics import figures
 from impact_rig_studies.dynamics.plan import FinishedStudy
 from impact_rig_studies.reduction import reduction
-from impact_rig_studies.report.content import COVERAGE
 
 AXIS_NAMES = {
     "frequency_hz": ("frequency", "Hz", 1.0),

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -37,6 +38,16 @@ def test_dt_without_sphere_is_the_closed_form_within_its_uncertainty():
     value, u = record.transmissibility
     assert abs(value - abs(complex(transmissibility(record.config, 9.1)))) < 3.0 * u
     assert str(record) == f"DT {value:.2f} ± {2 * u:.2f} (2u) at 9.1 Hz"
+
+
+def test_a_small_dt_is_printed_with_its_uncertainty():
+    """Above the resonance DT is near 0.1, and ± 0.00 would mean that it is exact."""
+    record = simulate(20.0, {"drive.frequency_hz": 30.0, "drive.amplitude": 0.52})
+    value, u = record.transmissibility
+    printed = re.fullmatch(r"DT (0\.\d+) ± (0\.0+[1-9]\d) \(2u\) at 30 Hz", str(record))
+    assert printed is not None, str(record)
+    assert float(printed[1]) == pytest.approx(value, abs=0.1 * u)
+    assert float(printed[2]) == pytest.approx(2 * u, rel=0.05)
 
 
 def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():

@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from kits.recorded_rig import record
 
+from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.cli import main
 from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.recording import open_run
@@ -410,7 +411,10 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
         assert getattr(decay, name) == pytest.approx(getattr(own, name), abs=LIMIT * getattr(own, f"u_{name}"))
     arguments = ["identify", str(directory), "--without", "reductions", "sine", "--decay"]
     assert main([*arguments, str(tmp_path / "plucked")]) == 0
-    assert f"free decay: f_n {decay.natural_frequency_hz:.6f}" in capsys.readouterr().out
+    assert (
+        f"free decay: f_n {plus_minus(decay.natural_frequency_hz, decay.u_natural_frequency_hz)} Hz"
+        in capsys.readouterr().out
+    )
     assert main([*arguments, str(tmp_path / "plucked"), "--decrement"]) == 0
     line = re.search(r"free decay: f_n ([0-9.]+) ± ([0-9.]+) Hz", capsys.readouterr().out)
     found, u2 = map(float, line.groups())

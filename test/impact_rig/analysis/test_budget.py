@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,11 +25,43 @@ from kits.records import info_rows
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, LASER
-from impact_rig.analysis.uncertainty_budget import budget
+from impact_rig.analysis.uncertainty_budget import budget, plus_minus, rounded
 from impact_rig.blocks import TRANSMISSIBILITY
 
 GAIN_U, NOISE, LAG_U = 2e-3, 4e-4, 0.05
 AMPLITUDES = {LASER: 5e-3, BASE: 80e-6}
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "text"),
+    [
+        (63.5674, 0.1597, "63.57 ± 0.32"),
+        (0.098342, 0.000246, "0.09834 ± 0.00049"),
+        (0.0641, 3.2e-8, "0.064100000 ± 0.000000064"),
+        (2.0, 0.0498, "2.00 ± 0.10"),
+        (2.0, 0.04974, "2.000 ± 0.099"),
+        (110.42, 0.4999, "110.4 ± 1.0"),
+        (110.42, 6.0, "110 ± 12"),
+        (12345.6, 339.0, "12350 ± 680"),
+        (-41.27, 0.25, "-41.27 ± 0.50"),
+        (9.1, 0.0, "9.1 ± 0"),
+        (9.1, math.nan, "9.1 ± -"),
+        (math.nan, math.nan, "- ± -"),
+        (math.inf, 1.0, "- ± 2"),
+    ],
+)
+def test_value_and_uncertainty_have_two_significant_digits_of_2u(value, u, text):
+    assert plus_minus(value, u) == text
+    assert " ± ".join(rounded(np.float64(value), np.float64(u))) == text
+
+
+@pytest.mark.parametrize("package", ["impact_rig", "impact_rig_studies", "impact_rig_lab"])
+def test_no_program_chooses_the_digits_of_an_uncertainty_by_itself(package):
+    own = re.compile(r'(?:± "?\n? *f?"?\{|figure\()(?:2|200)(?:\.0)? \*|± \{(?:COVERAGE|u:)')
+    for path in (ROOT / package).rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert [text[: found.start()].count("\n") + 1 for found in own.finditer(text)] == [], path
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ import re
 import pytest
 from kits.hostile_names import hostile_campaign
 
+from impact_rig.analysis.uncertainty_budget import COVERAGE, plus_minus
 from impact_rig.cli import main
 from impact_rig_studies.campaign import paper, run
 from impact_rig_studies.measured import _plain
@@ -74,7 +75,7 @@ def test_a_run_is_reported_with_result_uncertainty_and_conditions(one_run):
     assert main(["report", str(one_run)]) == 0
     text = text_of(one_run / "report.html")
     facts = json.loads((one_run / "report.json").read_text())["facts"]
-    assert f"DT = {facts['budget_dt']:.3f} ± {facts['budget_expanded_uncertainty']:.3f}" in text
+    assert f"DT = {plus_minus(facts['budget_dt'], facts['budget_expanded_uncertainty'] / COVERAGE)}" in text
     for words in ("coverage factor k = 2", "Effective degrees of freedom", "2000 scans/s", "gap 6 mm", "Conditions:"):
         assert words in text
     assert paper.TITLE not in text

@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
@@ -162,7 +163,7 @@ def test_the_page_tells_what_the_data_say(page, reported):
     done = run.open_finished(reported)
     reductions = done.reductions()
     for gap, value in reductions.percent().items():
-        assert f"{value:.2f} ± {2 * reductions.percent_uncertainty[gap]:.2f}" in page.text, gap
+        assert plus_minus(value, reductions.percent_uncertainty[gap]) in page.text, gap
     for verdict in done.verdicts():
         assert verdict.text in page.text
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in page.text
