@@ -28,7 +28,6 @@ import impact_rig
 from impact_rig.cli.interface import DOCUMENT
 from impact_rig.config.fields import Origin
 from impact_rig.graph import NODES
-from impact_rig.physics.contact import LAWS
 from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.physics.model import CONTACT_RTOL
 from impact_rig.rig.config import RigConfig
@@ -36,7 +35,7 @@ from impact_rig.simulation import DRIVE_A
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION_PERCENT
 
 ROOT = Path(__file__).parents[1]
-WORDS = {5: "five", 6: "six", 13: "thirteen"}
+WORDS = {5: "five", 6: "six"}
 NAMES = re.compile(r"ROS 2|x86-64|Apache-2\.0|Error 130|\(2u\)|± 2u|Run 9\.1 Hz|Click 10")
 """Names with a digit that state nothing."""
 
@@ -124,10 +123,6 @@ def nodes() -> str:
 
 def contact_tolerance() -> str:
     return f"an error of {CONTACT_RTOL:.0e} per step".replace("e-0", "e-")
-
-
-def contact_laws() -> str:
-    return f"{WORDS[len(LAWS)].title()} contact laws"
 
 
 def short_run() -> str:

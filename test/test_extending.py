@@ -13,7 +13,8 @@
 # limitations under the License.
 """Recipes of docs/how-to/extending.md, followed to the letter in a copy of the repository: no other file is edited.
 
-They are done one after another in one copy, whose pages are made and whose tests are run once. With `--thorough`, each
+They are done one after another in one copy. Then the commands of the page follow, and the tests of what is new and of
+the pages. With `--thorough`, each
 has its own copy, which shows that no recipe needs another one.
 """
 
@@ -36,19 +37,38 @@ from tools import recipes
 from tools.generate import ROOT, generated
 
 COPIED = (
+    ".github",
     "benchmarks",
     "config",
     "docs",
     "examples",
+    "fuzz",
     "impact_rig",
     "impact_rig_lab",
     "impact_rig_studies",
     "launch",
     "qualification",
     "requirements",
+    "resource",
+    "rviz",
     "test",
     "tools",
+    "urdf",
 )
+OF_PAGES = (
+    "test/test_claims.py",
+    "test/test_config_files.py",
+    "test/test_docs.py",
+    "test/test_figures.py",
+    "test/test_generated.py",
+    "test/test_layers.py",
+    "test/test_licence.py",
+    "test/test_names.py",
+    "test/test_public_face.py",
+)
+"""Tests that compare pages, figures, and the whole source with the code. They are those that an addition may break."""
+SHORT = "not (slow or heavy or benchmark)"
+DRAWN = re.compile(r"^make figures ARGS=(\S+\.svg)", re.MULTILINE)
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
 
@@ -171,9 +191,11 @@ def test_a_recipe_is_the_whole_change(chosen: tuple[Recipe, ...], copy: Copy):
         assert not (copy.root / path).exists(), f"{path}: a recipe adds files, it edits none"
         (copy.root / path).write_text(content, encoding="utf-8")
     copy.run("-m", "tools.generate")
+    drawings = DRAWN.findall(recipes.PAGE.read_text(encoding="utf-8"))
+    copy.run("-m", "tools.figures", *drawings)
     after = copy.state()
     changed = {path for path in {*before, *after} if before.get(path) != after.get(path)}
-    assert changed - GENERATED == set(files)
+    assert changed - GENERATED - {f"docs/images/{name}" for name in drawings} == set(files)
     own = {path for path in files if path.startswith("test/")}
     words = " or ".join(word for recipe in chosen for word in recipe.chosen)
     names = " or ".join([*(Path(path).name for path in own), f"(({words}) and not 0.6 and not 0.8)"])
@@ -188,4 +210,7 @@ def test_a_recipe_is_the_whole_change(chosen: tuple[Recipe, ...], copy: Copy):
         assert of_it, "the recipe has a test of its own"
         of_it += [test for test in passed if test.startswith(recipe.common) and any(w in test for w in recipe.chosen)]
         assert len(of_it) >= recipe.passed, f"{recipe.title} has not joined the common tests\n{ran}"
+    copy.run("-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", SHORT, *OF_PAGES)
     copy.run("-m", "ruff", "check", *files)
+    copy.run("-m", "ruff", "format", "--check", *files)
+    copy.run("-m", "tools.prose_lint")

@@ -354,8 +354,8 @@ def add_interface(commands: Commands) -> None:
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
             ("interface --against older.json", "changes that break a client of that version, and additions"),
         ],
-        "Exit code 1 if a change breaks clients of the earlier version; docs/reference/interface.md lists the kinds of "
-        "such changes.",
+        "Exit code 1 if a change breaks clients of the earlier version, or FILE cannot be read; "
+        "docs/reference/interface.md lists the kinds of such changes.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument(
