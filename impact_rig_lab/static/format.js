@@ -30,14 +30,18 @@ export function engineering(value, unit, digits = 3) {
 }
 
 /**
- * A value with its expanded uncertainty, both to the same place.
+ * A value with its expanded uncertainty, both to the second significant digit of 2u.
  * @param {number} value @param {number} u standard uncertainty
  * @returns {[string, string]} value and "± 2u"
  */
 export function withUncertainty(value, u) {
   if (!Number.isFinite(value)) return ["–", ""];
   if (!(u > 0) || !Number.isFinite(u)) return [value.toPrecision(4), ""];
-  const digits = Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(2 * u))));
+  const exponent = Number((2 * u).toExponential(1).split("e")[1]);
+  const step = 10 ** Math.max(0, exponent - 1);
+  const rounded = (/** @type {number} */ x) => (Math.round(x / step) * step).toFixed(0);
+  if (exponent >= 1) return [rounded(value), `± ${rounded(2 * u)}`];
+  const digits = Math.min(100, 1 - exponent);
   return [value.toFixed(digits), `± ${(2 * u).toFixed(digits)}`];
 }
 

@@ -89,6 +89,8 @@
     same([engineering(0.00585, "m"), engineering(0, "A"), engineering(-1.5e-5, "m"), engineering(NaN, "m")], ["5.85 mm", "0 A", "-15.0 µm", "–"]);
     same([clock(12.34), clock(245.2), clock(119.96), clock(3723), clock(3599.99), clock(-3), clock(NaN)], ["12.3 s", "4:05.2", "2:00.0", "1:02:03", "1:00:00", "−3.0 s", "–"]);
     same(withUncertainty(63.5465, 0.1597), ["63.55", "± 0.32"]);
+    same([withUncertainty(2, 0.0498), withUncertainty(0.0641, 3.2e-8)], [["2.00", "± 0.10"], ["0.064100000", "± 0.000000064"]]);
+    same([withUncertainty(110.42, 6), withUncertainty(12345.6, 339)], [["110", "± 12"], ["12350", "± 680"]]);
     same([withUncertainty(110.3, NaN), withUncertainty(NaN, 1)], [["110.3", ""], ["–", ""]]);
     near(decibel(0.1), -20);
     same(steps(8.5, 9.7, 4), [8.5, 8.9, 9.3, 9.7]);
