@@ -35,21 +35,25 @@ from impact_rig.analysis.calibration import U_CUBIC, Calibration
 from impact_rig.analysis.scans import BASE, CHANNELS, LASER
 
 COVERAGE = 2.0  # standard uncertainties in an expanded uncertainty, which covers about 95 % of cases
+CERTAIN, CERTAIN_PART = 1e-12, 1e-9  # expanded uncertainties, absolute and relative, below which a value is exact
 AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:
     """Return a value and its expanded uncertainty 2u as text, both to the second significant digit of 2u.
 
-    Numbers that do not exist (NaN or infinite) become "-".
+    Numbers that do not exist (NaN or infinite) become "-". An exact value has ten digits.
     """
     expanded = COVERAGE * u
-    if not (math.isfinite(value) and 0.0 < expanded < math.inf):
-        value_text, expanded_text = (f"{one:.6g}" if math.isfinite(one) else "-" for one in (value, expanded))
-        return value_text, expanded_text
+    if not (math.isfinite(value) and max(CERTAIN, CERTAIN_PART * abs(value)) < expanded < math.inf):
+        return _text(value, ".10g"), _text(expanded, ".2g")
     places = 1 - int(f"{expanded:.1e}".partition("e")[2])
     value_text, expanded_text = (f"{round(one, places):.{max(places, 0)}f}" for one in (value, expanded))
     return value_text, expanded_text
+
+
+def _text(number: float, spec: str) -> str:
+    return format(number, spec) if math.isfinite(number) else "-"
 
 
 def plus_minus(value: float, u: float) -> str:

@@ -685,5 +685,5 @@ def test_sines_without_a_dt_say_so_and_are_no_success(
     capsys.readouterr()
     assert main(["analyze", str(tmp_path / "run"), "--sine"]) == 1
     printed = capsys.readouterr().out
-    assert f"no DT from these scans: {reason}" in printed
+    assert f"no DT from these scans, status {reason}" in printed
     assert not re.search(r"\bnan\b", printed)

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import pytest
 
+from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.cli.main import main
 from impact_rig.recording import open_run
 from impact_rig.runs import info, reanalysis
@@ -56,7 +57,9 @@ def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.Capture
     assert 0.0 < found["u_transmissibility"] < 0.02 * found["transmissibility"]
     squares = sum(part["u_relative"] ** 2 for part in found["budget"])
     assert squares == pytest.approx((found["u_transmissibility"] / found["transmissibility"]) ** 2, rel=1e-6)
-    assert f"DT {found['transmissibility']:.3f} ± " in printed.out, "the same seed gives the same run"
+    assert f"DT {plus_minus(found['transmissibility'], found['u_transmissibility'])} (2u)" in printed.out, (
+        "the same seed gives the same run"
+    )
 
 
 def test_a_run_too_short_for_a_measurement_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

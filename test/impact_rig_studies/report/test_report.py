@@ -217,7 +217,10 @@ def test_continued_motions_are_drawn_beside_what_was_measured(reported, compared
     out, page = str(tmp_path / "out"), str(tmp_path / "report.html")
     assert main(["dynamics", "continue", str(tmp_path / "branches.yaml"), "--workers", "1", "--output", out]) == 0
     assert main(["report", str(reported), "--output", page, "--branches", out]) == 1
-    assert "the branches are of another rig: sphere.diameter_m" in capsys.readouterr().err
+    assert (
+        "the branches belong to another rig: its sphere.diameter_m is 0.006, but 0.00635 in the campaign"
+        in capsys.readouterr().err
+    )
 
 
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Za-z_])")
