@@ -38,8 +38,17 @@ _INFINITE = re.compile(r"([+-]?)(?:inf(?:inity)?|∞|1\.#inf\d*)", re.ASCII)
 _OTHER_NAN = re.compile(r"[+-]?(?:nan(?:\(\w*\))?|1\.(?:#[a-z]+\d*|\$))|\*+", re.ASCII)
 """Pattern of further texts for a missing number: NaN with a payload, `***`, and Microsoft's `1.#QNAN` and `1.$`."""
 SCPI_NAN, SCPI_INFINITY = 9.91e37, 9.9e37  # of instruments (SCPI 1999.0, section 7.2.1.4 and 7.2.1.5)
-_GROUPED = re.compile(r"[+-]?\d{1,3}(?:[ '.,\u00a0\u202f\u2019]\d{3})+(?:[.,]\d*)?", re.ASCII)
-_SPACES = str.maketrans("", "", " '\u00a0\u202f\u2019")
+_GROUPED = {
+    decimal: re.compile(
+        rf"[+-]?[1-9]\d{{0,2}}(?P<sign>[ '\u00a0\u202f\u2019{other}])\d{{3}}(?:(?P=sign)\d{{3}})*"
+        rf"(?P<rest>[{decimal}]\d*)?", re.ASCII,
+    )
+    for decimal, other in ((".", ","), (",", "."))
+}  # fmt: skip
+"""Pattern of numbers whose digits are in groups of three, such as `1,234.5` or `1 234,5`, by decimal sign."""
+_UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)  # 1,234 or 1.234: of either decimal sign
+_WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+DIGITS_IN_GROUP = 3
 LONGEST_CELL = 64
 
 
@@ -51,22 +60,22 @@ def number(cell: str, decimal: str = ".") -> float | None:
     text = cell.strip().replace("\u2212", "-")
     if len(text) > LONGEST_CELL:
         return None
+    if match := _GROUPED[decimal].fullmatch(text):
+        text = text.replace(match["sign"], "")
     if decimal == ",":
-        if _GROUPED.fullmatch(text):
-            text = text.replace(".", "")
         text = text.replace(",", ".")
-    elif "," in text and _GROUPED.fullmatch(text):
-        text = text.replace(",", "")
     if _NUMBER.fullmatch(text):
         value = float(text.replace("d", "e").replace("D", "e"))
         return value if abs(value) not in (SCPI_NAN, SCPI_INFINITY) else float(without_markers(np.array(value)))
-    if _GROUPED.fullmatch(text):
-        text = text.translate(_SPACES)
-        return float(text) if _NUMBER.fullmatch(text) else None
     lower = text.lower()
     if match := _INFINITE.fullmatch(lower):
         return float(f"{match[1]}inf")
     return math.nan if lower in _NOT_A_NUMBER or _OTHER_NAN.fullmatch(lower) else None
+
+
+def is_unclear(cell: str) -> bool:
+    """Return whether a number such as `1,234` has another value with the other decimal sign."""
+    return _UNCLEAR.fullmatch(cell.strip()) is not None
 
 
 def without_markers(values: Real) -> Real:
@@ -82,20 +91,53 @@ def half_digit(cell: str) -> float:
     return float(0.5 * 10.0 ** (int(exponent or 0) - decimals))
 
 
-def decimal_sign(cells: Sequence[str], delimiter: str | None) -> str:
-    """Return the decimal sign of a table's cells, `.` or `,`: a comma if one is possible and no cell contradicts it.
+def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
+    """Return the decimal sign of the columns of a table, and whether its cells are evidence of it.
 
-    `delimiter` is the character between cells, None for blanks.
+    Cells such as `0,5` or `1.234,5` are evidence; `1,234` alone is not. In a column with whole numbers, of which only
+    those from 1000 on have a sign, it separates groups of digits. Without evidence the sign is a comma if there is one
+    and no point.
+
+    Args:
+        columns: cells of each column.
+        delimiter: character between cells, None for blanks.
     """
-    if delimiter == "," and not any("," in cell for cell in cells):
-        return "."
-    for cell in cells:
-        comma, point = cell.rfind(","), cell.rfind(".")
-        if comma >= 0 and point >= 0 and number(cell, "," if comma > point else ".") is not None:
-            return "," if comma > point else "."
-    commas = any("," in cell and number(cell, ",") is not None for cell in cells)
-    points = any("." in cell and _NUMBER.fullmatch(cell.strip()) for cell in cells)
-    return "," if commas and not points else "."
+    if delimiter == "," and not any("," in cell for column in columns for cell in column):
+        return ".", True
+    proofs: set[str] = set()
+    guesses: set[str] = set()
+    seen: set[str] = set()
+    for column in columns:
+        unclear: set[str] = set()
+        whole: list[int] = []
+        for cell in column:
+            text = cell.strip()
+            seen.update(sign for sign in ".," if sign in text and _is_finite(number(text, sign)))
+            if match := _UNCLEAR.fullmatch(text):
+                unclear.add(match[1])
+            elif _WHOLE.fullmatch(text):
+                whole.append(len(text.lstrip("+-")))
+            else:
+                proofs.update(sign for sign in ".," if _proves(text, sign))
+        if len(unclear) == 1 and whole:
+            (sign,) = unclear
+            guesses.add(sign if max(whole) > DIGITS_IN_GROUP else "." if sign == "," else ",")
+    for found in (proofs, guesses):
+        if found:
+            return ("," if found == {","} else "."), True
+    return ("," if seen == {","} else "."), False
+
+
+def _proves(text: str, decimal: str) -> bool:
+    """Return whether a cell is a number with one decimal sign and not with the other."""
+    match = _GROUPED[decimal].fullmatch(text)
+    if match:
+        return bool(match["rest"]) or (match["sign"] in ".," and text.count(match["sign"]) > 1)
+    return text.count(decimal) == 1 and _is_finite(number(text, decimal))
+
+
+def _is_finite(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)
 
 
 _MONTHS = {

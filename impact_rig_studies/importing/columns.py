@@ -73,6 +73,7 @@ def signals_of(
     rate_hz: float | None = None,
     remarks: tuple[str, ...] = (),
     left_out: Mapping[str, str] | None = None,
+    rate_note: str = "",
 ) -> ImportedSignals:
     """Return the columns of a table as signals with a common abscissa.
 
@@ -87,6 +88,7 @@ def signals_of(
         rate_hz: rate that the file states outside the columns; None if it states none.
         remarks: assumptions of the reader.
         left_out: parts that the reader has left out.
+        rate_note: assumption about `rate_hz`, or the reason why it is None.
     """
     allow_columns(len(columns))
     column_units = column_units or {}
@@ -137,6 +139,8 @@ def signals_of(
             axis.note = (
                 f"the times of column {strange!r} are not understood: {texts[strange][0][: cells.LONGEST_CELL]!r}"
             )
+    if axis.kind is AbscissaKind.NONE and rate_note:
+        axis.note = "; ".join(filter(None, (axis.note, rate_note)))
     abscissa, kind = _abscissa(axis, rate_hz)
     names = UniqueNames()
     signals: dict[str, Signal] = {}
@@ -324,7 +328,7 @@ def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]
     if values is None or not len(values):
         if step is None:
             return attrs.evolve(NO_ABSCISSA, note=axis.note), SignalKind.TIME_RESPONSE
-        return Abscissa(AbscissaKind.TIME, "s", 0.0, step), SignalKind.TIME_RESPONSE
+        return Abscissa(AbscissaKind.TIME, "s", 0.0, step, note=axis.note), SignalKind.TIME_RESPONSE
     begin = _first(values)
     since = values - values[0]
     start = begin if axis.start_ns is None and not axis.is_clock else 0.0

@@ -18,7 +18,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
+from impact_rig_studies.importing.cells import is_unclear, number
 from impact_rig_studies.importing.units import is_unit, quantity, unit_factor
 
 STAMP = "stamp_ns"  # column of integers; `time` counts from it
@@ -27,7 +29,7 @@ TIME_NAMES = frozenset({
     "elapsed", "elapsedtime", "reltime", "relativetime", "relativezeit", "messzeit", "xvalue", "datetime", "date",
     "datum",
     "uhrzeit", "zeitstempel", "seconds", "second", "sekunden", "secs", "sec", "milliseconds", "msec", "microseconds",
-    "usec",
+    "usec", "millis", "micros",
     "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp", "tout", "время",
 })  # fmt: skip
 """Names of columns that contain times, in lower case, letters only."""
@@ -37,7 +39,7 @@ DATE_NAMES = frozenset(
 FREQUENCY_NAMES = frozenset({"frequency", "freq", "frequenz", "frequence", "f"})
 _UNIT_OF_NAME = {
     "seconds": "s", "second": "s", "sekunden": "s", "secs": "s", "sec": "s", "milliseconds": "ms", "msec": "ms",
-    "microseconds": "us", "usec": "us",
+    "microseconds": "us", "usec": "us", "millis": "ms", "micros": "us",
 }  # fmt: skip
 _SIGNAL_SUFFIXES = {
     "mm": "mm", "um": "um", "cm": "cm", "ms2": "m/s^2", "mps2": "m/s^2", "mmps": "mm/s", "mps": "m/s",
@@ -45,6 +47,8 @@ _SIGNAL_SUFFIXES = {
 """Units by suffix after an underscore; other suffixes may be part of a name, such as `base_m`."""
 _TIME_SUFFIX = re.compile(r"(.+?)(?:_(?i:(s|ms|us|ns|sec))|(?<=[a-z])(S|Ms|Us|Ns|Sec))")
 _UNIT_LABELS = frozenset({"unit", "units", "einheit", "einheiten", "unité", "unidad"})
+_RUN = re.compile(r"(.{1,80}?[\])])\s{0,3}((?:run|trial|lauf|set)\s?#?\s?\d{1,3})", re.IGNORECASE)
+"""Pattern of headings with the number of a run after the unit, such as `Time (s) Run #1`."""
 _NOT_LETTERS = re.compile(r"[\W\d_]+")
 _RATE_NAMES = frozenset({
     "fs", "sr", "rate", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "samplefreq",
@@ -107,9 +111,12 @@ def time_unit(name: str, unit: str) -> str:
 def split_unit(heading: str) -> tuple[str, str]:
     """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`."""
     text = heading.strip()
-    name, unit = _bracketed(text)
+    run = _RUN.fullmatch(text[:120])
+    name, unit = _bracketed(run[1] if run else text)
     if unit:
-        return name, unit
+        return f"{name} {run[2]}" if run else name, unit
+    if text.startswith("in ") and quantity(text[3:]) == "s":  # of oscilloscopes: `in s`, `CH1 in V`
+        return text, text[3:].strip()
     for separator in ("/", " in ", ",", " "):
         head, found, tail = text.rpartition(separator)
         short = len(tail.strip()) == 1  # a letter may be part of a name: x/s
@@ -149,8 +156,9 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
         return True
-    if above and all(cell.strip() for cell in above) and quantity(cells[0].strip().strip("()[]")) in ("s", "Hz"):
-        return is_time_name(above[0]) or bare(above[0]) in FREQUENCY_NAMES
+    is_named = bool(above) and all(cell.strip() for cell in above)
+    if is_named and (is_time_name(above[0]) or bare(above[0]) in FREQUENCY_NAMES):
+        return quantity(cells[0].strip().strip("()[]")) in ("s", "Hz")
     return bool(filled) and all(is_unit(cell) for cell in filled)
 
 
@@ -162,40 +170,82 @@ def unit_cells(cells: Sequence[str]) -> list[str]:
 
 
 _STATED = re.compile(
-    r"(?:(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})|scan[\s_-]?rate|\brate|\bfs|samples\s?(?:per|/)\s?s\w{0,5}"
-    r"|abtast(?:rate|frequenz))"
+    r"(?:(?:sampl\w{0,8}[\s_-]?(?:rate|freq\w{0,8})"
+    r"|(?:scan|daq|data|acq\w{0,9}|logg?\w{0,4}|record\w{0,4}|measur\w{0,6})[\s_-]?rate"
+    r"|(?:^|(?<=[,;|\t\"]))\W{0,3}rate|\bfs|samples\s?(?:per|/)\s?s\w{0,5}|(?:abtast|mess)(?:rate|frequenz))"
     r"|(?P<step>delta[\s_-]?[xt]|\bdt|sampl\w{0,8}[\s_-]?(?:interval|period|time)|\bincrement|abtastintervall))\b"
-    r"[^\d\n]{0,20}?(?P<number>\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)\s*(?P<unit>1/s|[^\W\d][^\s\d,;:()\[\]]{0,20})?",
+    r"(?P<between>[^\d\n]{0,20}?)"
+    r"(?:\b(?:ch|chan|channel|kanal|ai)\W{0,2}\d{1,3}(?:\s?[-:]\s?\d{1,3})?(?P<after>[^\d\n]{1,10}?))?"
+    r"(?<![^\W\d_])(?P<number>\d[\d.,]{0,20}(?:[eE][+-]?\d{1,3})?)(?![\d.,]*[:/-]\d)"
+    r"\s*(?P<unit>1/[a-z]{1,8}|[^\W\d][^\s\d,;:()\[\]]{0,20})?",
     re.IGNORECASE,
 )
 _SAMPLES = re.compile(r"([kM]?)(?:sps|sa?/s|samples?\s?(?:/|per)\s?s\w{0,5})", re.IGNORECASE)
+_SAMPLES_PER_MINUTE = re.compile(r"samples?/min\w*", re.IGNORECASE)
+_PER_SECOND = re.compile(r"\b1\s?/\s?s(?:ec)?\b|\bs\^?-1\b")
+_REMARK_WITH_NUMBER = re.compile(r"\([^()]{0,40}\d[^()]{0,40}\)(?=\s{0,9}[:=])")
+_WORD = re.compile(r"[^\W\d_]+")
+_BETWEEN = frozenset({
+    "in", "of", "per", "each", "all", "is", "the", "channel", "channels", "kanal", "value", "wert", "actual", "nominal",
+    "analog",
+})  # fmt: skip
+"""Words that may stand between `sample rate` and its number, with units; any other names another quantity."""
+SAME_RATE = 0.05  # largest relative difference of two statements of one rate, one of which may have few digits
 
 
-def stated_rate(lines: Sequence[str]) -> float | None:
-    """Return the sampling rate [Hz] that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
+class StatedRate(NamedTuple):
+    """Sampling rate that lines around a table state, and a note about it for the user."""
+
+    hz: float | None = None  # None if no rate is stated, or several are
+    note: str = ""
+
+
+def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None = None) -> StatedRate:
+    """Return the sampling rate that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
     The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
-    a unit, the name does. The result is None if no line states one.
+    a unit, the name does.
+
+    Args:
+        lines: lines before and after the table.
+        decimal: decimal sign of the table, which `1,000` does not tell.
+        delimiter: character between the cells of the table; `Sample rate,125,125` has two numbers if it is a comma.
     """
-    for match in (match for line in lines for match in _STATED.finditer(line[:300])):
-        heading = match[0][: match.start("number") - match.start()].rstrip(" \t:=;,")
-        before, behind = (_SAMPLES.sub(r"\1Hz", text) for text in (heading, match["unit"] or ""))
-        units = (behind, split_unit(before)[1], "s" if match["step"] else "Hz")
-        unit, kind = next((text, found) for text in units if (found := quantity(text)))
-        if kind not in ("Hz", "s"):
-            continue  # the rate of something else, as in `feed rate: 5 mm/s`
-        try:
-            value = float(_plain(match["number"])) * (unit_factor(unit, kind) or math.nan)
-        except ValueError:
-            continue
-        if kind == "s":
-            value = 1.0 / value if value > 0.0 else 0.0
-        if 0.0 < value < 1e9:
-            return value
-    return None
+    found: list[StatedRate] = []
+    for line in lines:
+        text = _REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300]))
+        found += filter(None, (_rate_of(match, decimal, delimiter) for match in _STATED.finditer(text)))
+    if not found or found[0].hz is None:
+        return StatedRate()
+    first = found[0].hz
+    if any(abs((one.hz or 0.0) / first - 1.0) > SAME_RATE for one in found):
+        rates = ", ".join(dict.fromkeys(f"{one.hz:.6g} Hz" for one in found))
+        return StatedRate(None, f"it states several: {rates[:100]}")
+    return found[0]
 
 
-def _plain(text: str) -> str:
-    """Return the text of a number with a decimal point, without the comma or point of a sentence at its end."""
+def _rate_of(match: re.Match[str], decimal: str, delimiter: str | None) -> StatedRate | None:
+    """Return the rate in a match of `_STATED`; None if it is that of something else, as in `feed rate: 5 mm/s`."""
+    between = match["between"] + (match["after"] or "")
+    behind = _SAMPLES_PER_MINUTE.sub("1/min", _SAMPLES.sub(r"\1Hz", match["unit"] or ""))
+    before = _SAMPLES.sub(r"\1Hz", match[0][: match.start("number") - match.start()].rstrip(' \t:=;,"'))
+    for word in _WORD.findall(_SAMPLES.sub(r"\1Hz", between)):
+        if word.lower() not in _BETWEEN and quantity(word) not in ("Hz", "s"):
+            return None
+    if quantity(behind) is None and ("/" in behind or behind.lower() == "per"):
+        return None
+    units = (behind, split_unit(before)[1], "s" if match["step"] else "Hz")
+    unit, kind = next((text, found) for text in units if (found := quantity(text)))
+    text = match["number"]
+    if delimiter == "," and between.rstrip().endswith(","):
+        text = text.partition(",")[0]
     text = text.rstrip(".,")
-    return text.replace(",", ".") if text.count(",") == 1 and "." not in text else text.replace(",", "")
+    value = number(text, decimal)
+    if value is None:
+        value = number(text, "," if decimal == "." else ".")
+    if kind not in ("Hz", "s") or value is None or not value > 0.0:
+        return None
+    value *= unit_factor(unit, kind) or math.nan
+    hz = 1.0 / value if kind == "s" else value
+    note = f"the rate was read as {hz:g} Hz from {match[0].strip()!r}" if is_unclear(text) else ""
+    return StatedRate(hz, note) if 0.0 < hz < 1e9 else None

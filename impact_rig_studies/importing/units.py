@@ -23,6 +23,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+import unicodedata
 from typing import NamedTuple
 
 from impact_rig.errors import RecordingError
@@ -99,7 +100,7 @@ _DOUBTFUL = {
     "mG": "milli-gravity (0.00980665 m/s^2), not milligauss",
     "mg": "milli-gravity (0.00980665 m/s^2), not milligram",
 }  # fmt: skip
-_OPERATORS = str.maketrans({"·": "*", "⋅": "*", "×": "*", "µ": "u", "μ": "u"})
+_OPERATORS = str.maketrans({"·": "*", "⋅": "*", "×": "*", "µ": "u", "μ": "u", "\u2215": "/", "\u2212": "-"})
 _SUPERSCRIPT = re.compile("[⁻⁰¹²³⁴]+")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴", "-01234")
 _STRANGE = re.compile(r"[^\w\s %/*^.()'\"-]|\d{3}|\d\s*(\*\*|\^)|__")
@@ -152,8 +153,9 @@ def _bare(unit: str) -> str:
 
 
 def _plain(unit: str) -> str:
-    """Return a unit with its special characters replaced by ASCII: `m/s²` becomes `m/s^2`, `µm` becomes `um`."""
-    return _SUPERSCRIPT.sub(lambda match: "^" + match[0].translate(_SUPERSCRIPTS), unit).translate(_OPERATORS)
+    """Return a unit with its special characters replaced by ASCII: `m/s²` becomes `m/s^2`, `µm` or `㎛` `um`."""
+    raised = _SUPERSCRIPT.sub(lambda match: "^" + match[0].translate(_SUPERSCRIPTS), unit)
+    return unicodedata.normalize("NFKC", raised).translate(_OPERATORS)
 
 
 @functools.lru_cache(maxsize=1024)

@@ -280,11 +280,87 @@ def test_a_table_without_headings_keeps_its_first_row() -> None:
         ("Sample rate in kHz: 2\nbase,laser,x", 2000.0), ("Sample interval: 500 us\nbase,laser,x", 2000.0),
         ("Sampling frequency: 2 kilohertz\nbase,laser,x", 2000.0), ("Sample rate: 2 kS/s\nbase,laser,x", 2000.0),
         ("Sample rate: 0.02 s\nbase,laser,x", 50.0), ("feed rate: 5 mm/s; fs: 50 SPS\nbase,laser,x", 50.0),
+        ("Sampling rate: 1,000 Hz\nbase,laser,x", 1000.0), ("Sampling rate (Hz): 51,200\nbase,laser,x", 51200.0),
+        ("Abtastrate: 1.000,0 Hz\nbase,laser,x", 1000.0), ('"Sample Rate","1,000"\nbase,laser,x', 1000.0),
+        ("Sample rate,125,125\nbase,laser,x", 125.0), ("Sample rate,51200,51200\nbase,laser,x", 51200.0),
+        ("Sample rate divider: 4\nSample rate: 125 Hz\nbase,laser,x", 125.0), ("Rate: 125\nbase,laser,x", 125.0),
+        ("Sampling rate Ch1-2: 125 Hz\nbase,laser,x", 125.0), ("Frame rate: 30\nfs: 125\nbase,laser,x", 125.0),
+        ("Sample rate (max 1000 Hz): 125 Hz\nbase,laser,x", 125.0), ("Sampling rate (1/s): 125\nbase,laser,x", 125.0),
+        ("Sample rate: 7500 1/min\nbase,laser,x", 125.0), ("Sample rate: 7500 samples/min\nbase,laser,x", 125.0),
+        ("Baud rate: 115200\nSample rate: 125 Hz\nbase,laser,x", 125.0),
+        ("Sample time: 10:23:11\nSample rate: 125 Hz\nbase,laser,x", 125.0),
+        ("Sample rate: 51200 Hz\nSample interval: 1.95e-5 s\nbase,laser,x", 51200.0),
     ],
 )  # fmt: skip
 def test_a_rate_in_the_lines_above_a_table(head: str, rate_hz: float) -> None:
     found = text_table(rows_of(head))
     assert found.signals["base"].rate_hz == pytest.approx(rate_hz)
+
+
+@pytest.mark.parametrize(("stated", "rate_hz"), [("2.000 Hz", 2000.0), ("2.000,5 Hz", 2000.5), ("0,125 kHz", 125.0)])
+def test_a_stated_rate_has_the_decimal_sign_of_the_table(stated: str, rate_hz: float) -> None:
+    rows = rows_of("base [mm];laser [mm];x", ";").replace(".", ",")
+    found = text_table(f"Abtastrate: {stated}\n{rows}")
+    assert found.signals["base"].rate_hz == pytest.approx(rate_hz)
+    assert bool(found.remarks) == (stated == "2.000 Hz")
+
+
+@pytest.mark.parametrize(
+    "line", ["Sample rate divider: 4", "Sampling rate index: 3", "Baud rate: 115200", "Drop rate: 0.1"]
+)
+def test_a_number_of_something_else_is_no_rate(line: str) -> None:
+    assert text_table(rows_of(f"{line}\nbase,laser,x")).signals["base"].rate_hz is None
+
+
+def test_several_rates_are_none_and_the_reason() -> None:
+    found = text_table(rows_of("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz\nbase,laser,x"))
+    assert str(found.signals["base"].abscissa) == "no times and no rate"
+    assert found.signals["base"].abscissa.note == "it states several: 51200 Hz, 125 Hz"
+
+
+def groups(value: float, sign: str) -> str:
+    return f"{value:,.0f}".replace(",", sign)
+
+
+@pytest.mark.parametrize(("separator", "sign"), [("\t", ","), (";", ","), (";", "."), ("\t", "."), (";", " ")])
+@pytest.mark.parametrize("seconds", ["{:.3f}", "{:.0f}"])
+def test_whole_numbers_with_groups_of_digits(separator: str, sign: str, seconds: str) -> None:
+    """The values below 1000 show that `1,234` has groups of digits, even if a single cell has them."""
+    values = np.round(1000.4 * BASE / np.abs(BASE).max())
+    for whole in (values, 70 * values):
+        times = [seconds.format(1e3 * t if seconds == "{:.0f}" else t) for t in TIME_S]
+        times = [t.replace(".", ",") if sign == "." else t for t in times]
+        unit = "ms" if seconds == "{:.0f}" else "s"
+        rows = (separator.join((t, groups(v, sign), f"{v:.0f}")) for t, v in zip(times, whole, strict=True))
+        found = text_table("\n".join([separator.join((f"time [{unit}]", "base [nm]", "x [nm]")), *rows]))
+        assert found.signals["base"].values.tolist() == whole.tolist()
+        assert found.signals["x"].values.tolist() == whole.tolist()
+        assert since_start(found) == pytest.approx(TIME_S)
+
+
+def test_a_column_that_is_added_later_is_the_reason() -> None:
+    head, *lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
+    later = [f"{line},0.5" for line in lines[9:]]
+    assert text_table("\n".join([head, *lines[:9], *later])).left_out == {
+        "line 2 to 10": "numbers, but not in 4 cells as the table"
+    }
+    with pytest.raises(ImpactRigError, match=r"that has the form of its line \d+: '.*,0\.5'"):
+        text_table("\n".join([head, *(200 * lines[:1]), *(10 * later)]))
+
+
+@pytest.mark.parametrize(
+    ("head", "names", "units"),
+    [
+        ("x-axis,1,2\nsecond,Volt,Volt", ["1", "2"], ["Volt", "Volt"]),
+        ("in s,CH1 in V,CH2 in V", ["CH1", "CH2"], ["V", "V"]),
+        ("Time (s) Run #1,base (mm) Run #1,laser (mm) Run #1", ["base Run #1", "laser Run #1"], ["mm", "mm"]),
+    ],
+)
+def test_headings_of_oscilloscopes_and_loggers(head: str, names: list[str], units: list[str]) -> None:
+    found = text_table(rows_of(head))
+    assert list(found.signals) == names
+    assert [one.unit for one in found.signals.values()] == units
+    assert since_start(found) == pytest.approx(TIME_S)
 
 
 def test_separate_columns_of_date_and_time_are_one() -> None:
@@ -703,11 +779,12 @@ def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest
 UNITS = {
     "m": {"m": 1.0, "mm": 1e-3, "Millimeter": 1e-3, "millimetres": 1e-3, "MM": 1e-3, "µm": 1e-6, "μm": 1e-6, "um": 1e-6,
           "micron": 1e-6, "cm": 1e-2, "in": 0.0254, "inch": 0.0254, "Inches": 0.0254, "mil": 2.54e-5, "mils": 2.54e-5,
-          "thou": 2.54e-5, "[mm]": 1e-3, "meter": 1.0, "nm": 1e-9, "ft": 0.3048},
+          "thou": 2.54e-5, "[mm]": 1e-3, "meter": 1.0, "nm": 1e-9, "ft": 0.3048, "㎜": 1e-3, "㎛": 1e-6},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3, "mm/sec": 1e-3, "m s^-1": 1.0, "in/s": 0.0254, "ips": 0.0254, "cm/s": 1e-2},
     "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s**2": 1.0, "m/s/s": 1.0, "m·s⁻²": 1.0, "m s^-2": 1.0,
               "m/sec^2": 1.0, "m/(s^2)": 1.0, "m/(s*s)": 1.0, "mm/s2": 1e-3, "cm/s^2": 1e-2, "g": 9.80665, "G": 9.80665,
-              "g's": 9.80665, "gs": 9.80665, "g_n": 9.80665, "mg": 9.80665e-3, "Gal": 1e-2, "in/s^2": 0.0254},
+              "g's": 9.80665, "gs": 9.80665, "g_n": 9.80665, "mg": 9.80665e-3, "Gal": 1e-2, "in/s^2": 0.0254,
+              "㎨": 1.0},
     "A": {"A": 1.0, "mA": 1e-3, "amps": 1.0, "Ampere": 1.0},
     "V": {"V": 1.0, "mV": 1e-3, "Volts": 1.0, "µV": 1e-6},
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "S": 1.0},

@@ -37,6 +37,7 @@ from impact_rig_studies.importing.signals import ImportedSignals, UniqueNames
 HEADER_LINES = 200  # largest number of lines before the first row of numbers
 TRAILING_LINES = 20  # largest number of lines after the last row of numbers
 SAMPLED_LINES = 40
+MOST_LINES = 100_000  # largest number of lines that are searched for a decimal sign
 DELIMITERS = ("\t", ";", ",", "|", None)  # None: blanks
 CHUNK_CELLS = 200_000
 COMMENTS = ("#", "%", "//", "!")
@@ -72,7 +73,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         return labview.read_lines(path, lines)
     layout = find_layout(lines)
     if layout is None:
-        raise RecordingError(f"{path} has no row of numbers within its first {HEADER_LINES} lines")
+        raise RecordingError(
+            f"{path} has no row of numbers within its first {HEADER_LINES} lines{_seen_instead(lines)}"
+        )
     names, units, others = _headings(lines[: layout.first], layout)
     end = _end(lines, layout)
     trailing = [line for line in lines[end:] if line.strip()]
@@ -85,9 +88,12 @@ def read(path: Path, content: bytes) -> ImportedSignals:
             named[name] = column
     left_out = {f"line {end + 1} and after": f"no row of numbers: {trailing[0].strip()[:SHOWN]!r}"} if trailing else {}
     left_out |= {f"line {number + 1}": "a comment" for number in skipped[:TRAILING_LINES]}
+    early = [number for number, line in enumerate(lines[: layout.first]) if _is_other_row(line, layout)]
+    if early:
+        left_out[f"line {early[0] + 1} to {early[-1] + 1}"] = f"numbers, but not in {layout.width} cells as the table"
     remarks = () if encoding.startswith("utf") else (f"the text was read as code page {encoding}",)
-    rate_hz = headings.stated_rate([*others, *trailing])
-    return signals_of(path, "text table", named, units, rate_hz, remarks, left_out)
+    stated = headings.stated_rate([*others, *trailing], layout.decimal, layout.delimiter)
+    return signals_of(path, "text table", named, units, stated.hz, remarks, left_out, stated.note)
 
 
 def find_layout(lines: Sequence[str]) -> Layout | None:
@@ -115,12 +121,29 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
     if layout is None:
         return None
     rows = [row for row in (split(line, layout.delimiter) for line in sample) if len(row) == layout.width]
-    decimal = cells.decimal_sign([cell for row in rows for cell in row], layout.delimiter)
+    decimal, is_proven = cells.decimal_sign(list(zip(*rows, strict=True)), layout.delimiter)
+    if not is_proven:  # whole numbers: those with groups of digits may be few
+        step = max(1, len(lines) // MOST_LINES)
+        every = (split(line, layout.delimiter) for line in lines[::step] if not line.startswith(COMMENTS))
+        rows = [row for row in every if len(row) == layout.width]
+        decimal, _ = cells.decimal_sign(list(zip(*rows, strict=True)), layout.delimiter)
     layout = attrs.evolve(layout, decimal=decimal)
     for number, line in enumerate(lines[: HEADER_LINES + 1]):
         if is_row(line, layout):
             return attrs.evolve(layout, first=number)
     return None
+
+
+def _seen_instead(lines: Sequence[str]) -> str:
+    """Return the end of the message that there are no rows of numbers: a later line of the table, as the file has it.
+
+    It may have another form than the first lines, as when a column was added.
+    """
+    sample = _sample(lines)
+    if len(lines) <= 1 or not sample:
+        return ""
+    text = sample[len(sample) // 2]
+    return f" that has the form of its line {lines.index(text) + 1}: {text.strip()[:SHOWN]!r}"
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
@@ -163,6 +186,12 @@ def is_row(line: str, layout: Layout) -> bool:
     if any(one is None and not cells.is_time(cell) for one, cell in zip(numbers, shown, strict=True)):
         return False
     return any(one is None or not math.isnan(one) for one in numbers)
+
+
+def _is_other_row(line: str, layout: Layout) -> bool:
+    """Return whether a line is a row of numbers, but with another number of cells than the layout."""
+    row = [] if line.startswith(COMMENTS) else split(line, layout.delimiter)
+    return 1 < len(row) != layout.width and all(cell and _is_value(cell) for cell in row)
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
