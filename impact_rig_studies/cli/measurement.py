@@ -174,10 +174,10 @@ def _print(console: Console, found: ImportedRun) -> None:
     lost = int(found.index[-1] - found.index[0]) + 1 - len(found.index)
     gap = f", {lost} missing between them" if lost else ""
     console.print(f"{len(found.rows)} scans at {found.rate_hz:.9g} Hz, {len(found.rows) / found.rate_hz:.6g} s{gap}")
-    unit = "A" if "current" in found.mapping.channels else "(A of current, or m of base)"
     for instant, frequency, amplitude in found.drive[:10]:
         since = (instant - found.start_ns) / 1e9
-        console.print(f"drive from {since:.6g} s on: {frequency:.6g} Hz, amplitude {amplitude:.4g} {unit}")
+        shown = f"{frequency:.6g} Hz" if frequency else "no frequency found (--frequency HZ)"
+        console.print(f"drive from {since:.6g} s on: {shown}, amplitude {amplitude:.4g} {found.amplitude_unit}")
     if len(found.drive) > 10:
         console.print(f"... and {len(found.drive) - 10} further settings of the drive")
     labels = [label for label in map(parse_label, found.labels) if label]

@@ -110,8 +110,8 @@ def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
 
 
 def _words(name: str) -> frozenset[str]:
-    """Return the words of a heading, and the complete heading, in lower case for comparison with `HINTS`."""
-    lower = name[:LONGEST_GUESSED].lower()
+    """Return the words of a heading, and the complete heading, in lower case (ß as ss) for comparison with `HINTS`."""
+    lower = name[:LONGEST_GUESSED].casefold()
     return frozenset({lower, *_SEPARATORS.split(lower)})
 
 

@@ -62,6 +62,7 @@ class ImportedRun:
     labels: tuple[str, ...]  # remarks for the topic `notes`, among them the labels of the gap
     estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text
+    amplitude_unit: str = "A"  # unit of the amplitudes in `drive`, with the channel they were measured in
 
 
 def convert(
@@ -96,8 +97,14 @@ def convert(
         one = mapping.channels[name]
         signal = source.signals.get(one.column)
         if signal is None:
-            there = f"there are {', '.join(source.signals)[:300]}"
-            hint = did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
+            there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
+            if one.column in source.left_out:
+                there = f"it is left out, {source.left_out[one.column]}"
+            hint = (
+                there
+                if one.column in source.left_out
+                else did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
+            )
             raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
         one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
         factor, si_units[name] = one.to_si(name)
@@ -133,11 +140,13 @@ def convert(
         index = index + round((source.start_ns - start_ns) * rate / NS_PER_S)
     rows = _scans(found, si_units, info)
     instants = _Instants(index, rate, start_ns)
-    measured_hz, is_sine = _frequency_of(found, si_units, float(rate))
+    measured_hz, is_sine = _frequency_of(found, si_units, float(rate), index)
     mapping, guesses = _confirmed(mapping, measured_hz if is_sine else 0.0, len(index) / rate)
     commands = _commands(source, mapping, drive, followed.get("frequency"), instants)
     if not commands:
         commands = ((start_ns, measured_hz, math.nan),)
+    is_stated = any(math.isfinite(amplitude) for _, _, amplitude in commands)
+    amplitude_of = "" if is_stated else next(name for name in ("current", *REFERENCES) if name in found)
     commands = tuple(_with_amplitude(commands, found, instants))
     labels = list(mapping.notes)
     if "gap" in followed:
@@ -157,6 +166,7 @@ def convert(
         tuple(labels),
         estimated,
         tuple(dict.fromkeys(doubts + guesses)),
+        f"{si_units[amplitude_of]} of {amplitude_of}" if amplitude_of else "A",
     )
 
 
@@ -390,10 +400,23 @@ def _with_amplitude(
         yield instant, frequency, amplitude if known else math.sqrt(2.0) * float(np.std(np.nan_to_num(part)))
 
 
-def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float) -> tuple[float, bool]:
+def _longest_stretch(values: Real, index: NDArray[np.int64]) -> Real:
+    """Return the longest part of values without a missing scan and without NaN or infinity."""
+    is_good = np.isfinite(values)
+    ends = np.flatnonzero((np.diff(index) != 1) | (is_good[1:] != is_good[:-1])) + 1
+    cuts = np.concatenate([[0], ends, [len(values)]])
+    lengths = np.where(is_good[cuts[:-1]], np.diff(cuts), 0)
+    at = int(np.argmax(lengths))
+    return values[cuts[at] : cuts[at] + lengths[at]]
+
+
+def _frequency_of(
+    found: AnyMapping[str, Real], si_units: AnyMapping[str, str], rate: float, index: NDArray[np.int64]
+) -> tuple[float, bool]:
     """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
-    It is that of the largest spectral line of the first measured channel in `REFERENCES`. Lines are compared as
+    It is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest part without a
+    missing value. Lines are compared as
     displacements, which raises the noise of an accelerometer at low frequencies: only lines above the noise around them
     count. A clear sine has more power than the rest of the signal.
     """
@@ -403,7 +426,7 @@ def _frequency_of(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], 
     from impact_rig.states import Status  # noqa: PLC0415  # as above
 
     name = next(name for name in REFERENCES if name in found)
-    values = found[name]
+    values = _longest_stretch(found[name], index)
     each = max(1, int(rate / FREQUENCY_HZ))
     most = max(round(FREQUENCY_S * min(rate, FREQUENCY_HZ)), FREQUENCY_SCANS)
     part = values[-min(len(values), each * most) :]

@@ -164,8 +164,8 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         return None, whole if whole == mapping.rate_hz else mapping.rate_hz
     if abscissa.kind is AbscissaKind.NONE:
         raise ConfigError(
-            f"{path} has neither times nor a rate{_explained(abscissa)}: give the rate (--scan-rate HZ), in scans per "
-            "second"
+            f"{path} has neither times nor a rate that are recognised{_explained(abscissa)}: "
+            "give the rate (--scan-rate HZ), in scans per second"
         )
     if abscissa.kind is not AbscissaKind.TIME:
         raise ConfigError(

@@ -173,6 +173,9 @@ FILES: dict[str, tuple[Callable[[Path], Path], list[str]]] = {
     "a line below": (
         lambda folder: table(folder / "own.csv", "time [s],base [mm],laser [mm]", last="\nRate 125, overflows 0"), [],
     ),
+    "sharp s in a heading": (
+        lambda folder: table(folder / "own.csv", "Zeit;Weg Fußpunkt;Laser\ns;mm;mm", separator=";"), [],
+    ),
     "row of units in code page 1252": (
         lambda folder: table(folder / "own.csv", "Zeit;Tisch µ;Struktur\ns;mm;mm", separator=";"), [],
     ),

@@ -605,6 +605,35 @@ def test_waveforms_of_tdms_files(tmp_path: Path, unit: str, key: str) -> None:
     assert found.signals["laser"].values.tolist() == LASER.tolist()
 
 
+@pytest.mark.parametrize(("late_s", "offset_s"), [(0.5, 0.0), (0.0, 0.5), (2.0, -1.9)])
+def test_tdms_channels_that_start_at_different_times_are_not_taken_for_simultaneous(
+    tmp_path: Path, late_s: float, offset_s: float
+) -> None:
+    begin = np.datetime64("2024-05-13T10:00:00", "us")
+    about = {"wf_increment": 1 / RATE_HZ, "wf_start_offset": 0.0, "wf_start_time": begin, "unit_string": "mm"}
+    later = {**about, "wf_start_time": begin + np.timedelta64(int(1e6 * late_s), "us"), "wf_start_offset": offset_s}
+    (tmp_path / "own.tdms").write_bytes(tdms_file({"base": (BASE, about), "laser": (LASER, later)}))
+    found = readers.read(tmp_path / "own.tdms")
+    assert found.signals["laser"].abscissa.start == pytest.approx(late_s + offset_s)
+    with pytest.raises(ImpactRigError, match="has other times than laser"):
+        convert(found, guess(found))
+
+
+@pytest.mark.parametrize("has_times", [False, True])
+def test_a_tdms_increment_of_1_is_no_rate_that_other_parts_contradict(tmp_path: Path, has_times: bool) -> None:
+    """Programs write `wf_increment` 1 for a waveform without a time step."""
+    about = {"wf_increment": 1.0, "unit_string": "mm"}
+    times = {"Time": (TIME_S, {"wf_increment": 1.0, "unit_string": "s"})} if has_times else {}
+    stated = {} if has_times else {"Sample Rate": 125.0}
+    (tmp_path / "own.tdms").write_bytes(tdms_file({**times, "base": (BASE, {**about, **stated})}))
+    found = readers.read(tmp_path / "own.tdms")
+    if has_times:
+        assert since_start(found) == pytest.approx(TIME_S)
+    else:
+        assert found.signals["base"].rate_hz is None
+        assert found.signals["base"].abscissa.note == "it states several: 1 Hz (wf_increment), 125 Hz"
+
+
 def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
     (tmp_path / "own.tdms").write_bytes(tdms_file({"Time (ms)": (1e3 * TIME_S, {}), "base": (BASE, {})}))
     found = readers.read(tmp_path / "own.tdms")

@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 
 from impact_rig.cli.main import main
+from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis
 from impact_rig.system.budget import BudgetError
@@ -79,6 +80,39 @@ def test_any_two_kinds_of_motion_give_the_transmissibility_of_displacements(
     assert abs(row["phase"] - PHASE) < 3 * row["phase_uncertainty"] < 0.02
     assert row["base_amplitude"] == pytest.approx(BASE_M, rel=1e-3)
     assert row["laser_amplitude"] == pytest.approx(BASE_M * DT, rel=1e-3)
+
+
+@pytest.mark.parametrize("wrong", [[1499], [0], [3, 700], [301, 302, 303]])
+def test_a_base_without_some_readings_has_a_drive_frequency(tmp_path: Path, wrong: list[int]) -> None:
+    found = source({"base": "mm", "laser": "mm"})
+    found.signals["base"].values[wrong] = np.nan
+    run = imported(found)
+    assert run.drive[0][1] == pytest.approx(HZ, rel=1e-4)
+    row = last_row(write(run, tmp_path / "run"))
+    assert row["status"] == b"ok"
+    assert abs(row["transmissibility"] - DT) < 3 * row["transmissibility_uncertainty"] < 0.02
+
+
+@pytest.mark.parametrize(("unit", "si", "size"), [("g", "m/s^2", BASE_M * OMEGA**2), ("mm", "m", BASE_M)])
+def test_the_amplitude_of_the_drive_has_its_unit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], unit: str, si: str, size: float
+) -> None:
+    times = np.arange(1500) / 125
+    table = np.stack([times, motion(unit, "base", times), motion("mm", "laser", times)], axis=1)
+    head = f"time [s],base [{unit}],laser [mm]"
+    np.savetxt(tmp_path / "own.csv", table, "%.8g", ",", header=head, comments="")
+    assert main(["import", str(tmp_path / "own.csv"), "--output", str(tmp_path / "run")]) == 0
+    shown = " ".join(capsys.readouterr().out.split()).partition(" Hz, amplitude ")[2].split()
+    assert shown[1:4] == [si, "of", "base"]
+    assert float(shown[0]) == pytest.approx(size, rel=2e-3)
+
+
+def test_a_signal_of_words_is_named_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "own.csv").write_text("time [s],base,laser [mm]\n" + "\n".join(f"{k},0x{k:X}F,0.5" for k in range(50)))
+    found = readers.read(tmp_path / "own.csv")
+    mapping = attrs.evolve(guess(found), channels=with_channel({}, "base=base mm", found.signals))
+    with pytest.raises(ImpactRigError, match="no signal 'base' for base: it is left out, texts"):
+        convert(found, mapping)
 
 
 def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:

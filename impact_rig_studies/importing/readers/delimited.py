@@ -143,7 +143,9 @@ def _seen_instead(lines: Sequence[str]) -> str:
     if len(lines) <= 1 or not sample:
         return ""
     text = sample[len(sample) // 2]
-    return f" that has the form of its line {lines.index(text) + 1}: {text.strip()[:SHOWN]!r}"
+    is_row = any(len(row := split(text, one)) > 1 and all(map(_is_value, row)) for one in DELIMITERS)
+    joint = " that has the form of its" if is_row else ";"
+    return f"{joint} line {lines.index(text) + 1}{' is' if not is_row else ''}: {text.strip()[:SHOWN]!r}"
 
 
 def _sample(lines: Sequence[str]) -> list[str]:

@@ -19,6 +19,7 @@ import io
 from pathlib import Path
 from types import ModuleType
 
+import attrs
 import numpy as np
 
 from impact_rig.errors import RecordingError
@@ -37,6 +38,7 @@ from impact_rig_studies.importing.signals import (
     even_times,
 )
 
+NO_INCREMENT = 1.0  # wf_increment of waveforms whose program set none
 UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "unit", "Units", "units", "UnitSymbol")
 
 
@@ -82,10 +84,13 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             plain, own = headings.split_unit(channel.name)
             rate_hz = next(filter(None, map(_rate_hz, (channel, group, file))), None)
             abscissa, kind = _abscissa(channel, None if listed is None else listed[1], rate_hz, len(values))
+            own_ns = _start_ns(channel)
+            if start_ns is None:
+                start_ns = own_ns
+            elif own_ns is not None and abscissa.kind is AbscissaKind.TIME:
+                abscissa = attrs.evolve(abscissa, start=abscissa.start + (own_ns - start_ns) / NS_PER_S)
             name = plain if counts[channel.name] == 1 or not several else f"{group.name} {plain}"
             signals[names.unique(name)] = Signal(values.astype(np.float64), unit or own, abscissa, kind, origin)
-            if start_ns is None:
-                start_ns = _start_ns(channel)
     if not signals:
         reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:200]
         raise RecordingError(f"{path} holds no channel of numbers{': ' + reasons if reasons else ''}")
@@ -101,11 +106,18 @@ def _rate_hz(holder: object) -> float | None:
 def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
     """Return the abscissa of a channel with `count` values, and its kind.
 
-    The properties of its waveform take precedence, then times `listed` in another channel [s], then `rate_hz`.
+    The properties of its waveform take precedence, then times `listed` in another channel [s], then `rate_hz`. The
+    increment 1 is also that of programs that know none: it yields to listed times, and another rate makes it doubtful.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
     offset = _number(properties.get("wf_start_offset")) or 0.0
+    has_times = listed is not None and len(listed) == count
+    if step == NO_INCREMENT and has_times:
+        step = None
+    elif step == NO_INCREMENT and rate_hz and abs(rate_hz - 1.0) > headings.SAME_RATE:
+        note = f"it states several: 1 Hz (wf_increment), {rate_hz:g} Hz"
+        return attrs.evolve(NO_ABSCISSA, note=note), SignalKind.TIME_RESPONSE
     words = " ".join(str(properties.get(key, "")) for key in ("wf_xname", "wf_xunit_string")).lower()
     if step is not None and step > 0.0:
         if "freq" in words or "hz" in words.split():
@@ -115,7 +127,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
         if factor is None:
             return Abscissa(AbscissaKind.OTHER, unit, offset, step), SignalKind.OTHER
         return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor), SignalKind.TIME_RESPONSE
-    if listed is not None and len(listed) == count:
+    if listed is not None and has_times:
         return Abscissa(AbscissaKind.TIME, "s", float(listed[0]), None, listed - listed[0]), SignalKind.TIME_RESPONSE
     return even_times(rate_hz) if rate_hz else NO_ABSCISSA, SignalKind.TIME_RESPONSE
 
