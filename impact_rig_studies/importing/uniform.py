@@ -47,6 +47,7 @@ DECIMALS = 9
 RESAMPLED_VALUES, RESAMPLED_PER_VALUE = 500_000, 20
 """Largest number of values after resampling: in total, or per value of the file if that is more."""
 MOSTLY = 0.9
+REGULAR = 0.5  # relative departure of steps from their median up to which the degree of the spline is 5
 FEWEST = 2  # scans that several time bases must have in common
 Rate = int | float  # scans per second: int for a whole number
 
@@ -89,8 +90,19 @@ def aligned(
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
         raise ConfigError(f"{path}: the times of the signals of {', '.join(times)} do not overlap")
-    there = {name: scipy.interpolate.CubicSpline(times[name], values)(common) for name, values in found.items()}
+    there = {name: _spline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
+
+
+def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
+    """Return the spline through values at increasing times.
+
+    A cubic makes a sine of 8 values per cycle 6e-4 too small, a spline of degree 5 1e-5. At times that are far from
+    uniform, the higher degree amplifies noise.
+    """
+    steps = np.diff(times)
+    is_regular = bool(np.all(np.abs(steps / np.median(steps) - 1.0) < REGULAR))
+    return scipy.interpolate.make_interp_spline(times, values, k=min(5 if is_regular else 3, len(times) - 1))
 
 
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
@@ -268,10 +280,10 @@ def last_digit(times: Real) -> float:
 def _resampled(
     path: Path, times: Real, found: dict[str, Real], followed: dict[str, Real], exact: float, rate: int
 ) -> Grid:
-    """Return signals at the requested rate, by cubic interpolation; a lower rate than the file's would alias.
+    """Return signals at the requested rate, by interpolation; a lower rate than the file's would alias.
 
     Signals in `followed` keep their value until the next one. Nothing is interpolated where scans are missing: each
-    stretch between two holes has its own cubic.
+    stretch between two holes has its own spline.
 
     Args:
         path: the file, for messages.
@@ -303,9 +315,8 @@ def _resampled(
             parts.append((slice(begin, end), index[first:last]))
     if not parts:
         raise ConfigError(f"{path}: its times have a hole after every scan, so nothing can be resampled")
-    spline = scipy.interpolate.CubicSpline
     splined = {
-        name: np.concatenate([spline(times[part], values[part])(own / rate) for part, own in parts])
+        name: np.concatenate([_spline(times[part], values[part])(own / rate) for part, own in parts])
         for name, values in found.items()
     }
     index = np.concatenate([own for _, own in parts])

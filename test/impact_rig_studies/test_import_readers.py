@@ -634,6 +634,14 @@ def test_a_tdms_increment_of_1_is_no_rate_that_other_parts_contradict(tmp_path: 
         assert found.signals["base"].abscissa.note == "it states several: 1 Hz (wf_increment), 125 Hz"
 
 
+def test_a_tdms_increment_of_1_alone_is_to_be_confirmed(tmp_path: Path) -> None:
+    about = {"wf_increment": 1.0, "unit_string": "mm"}
+    (tmp_path / "own.tdms").write_bytes(tdms_file({"base": (BASE, about), "laser": (LASER, about)}))
+    found = readers.read(tmp_path / "own.tdms")
+    assert found.signals["base"].rate_hz == 1.0
+    assert found.remarks == ("wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate",)
+
+
 def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
     (tmp_path / "own.tdms").write_bytes(tdms_file({"Time (ms)": (1e3 * TIME_S, {}), "base": (BASE, {})}))
     found = readers.read(tmp_path / "own.tdms")

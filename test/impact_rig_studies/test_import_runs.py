@@ -115,6 +115,24 @@ def test_a_signal_of_words_is_named_with_the_reason(tmp_path: Path) -> None:
         convert(found, mapping)
 
 
+@pytest.mark.parametrize("hz", [9.1, 15.6])
+@pytest.mark.parametrize("late_s", [0.0, 0.003])
+def test_interpolation_between_few_scans_a_cycle_keeps_the_amplitude(tmp_path: Path, hz: float, late_s: float) -> None:
+    """At 8 scans a cycle a cubic makes the laser 6e-4 too small, many times the stated uncertainty."""
+    rate_hz = 125.0
+    times = np.arange(1500) / rate_hz
+    signals = {
+        "base": Signal(motion("mm", "base", times, hz), "mm", even_times(rate_hz)),
+        "laser": Signal(motion("mm", "laser", times + late_s, hz), "mm", even_times(rate_hz, late_s)),
+    }
+    found = ImportedSignals(Path("own.csv"), "text table", signals)
+    run = convert(found, attrs.evolve(guess(found), resample_hz=250))
+    row = last_row(write(run, tmp_path / "run"))
+    assert row["base_amplitude"] == pytest.approx(BASE_M, rel=5e-5)
+    assert row["transmissibility"] == pytest.approx(DT, rel=5e-5)
+    assert row["phase"] == pytest.approx(PHASE, abs=5e-5)
+
+
 def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:
     found = source({"base": "g", "laser": "mm"})
     volts = {"ai 0": 0.1 * found.signals["base"].values, "ai 1": 0.5 * found.signals["laser"].values}

@@ -94,7 +94,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     if not signals:
         reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:200]
         raise RecordingError(f"{path} holds no channel of numbers{': ' + reasons if reasons else ''}")
-    return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out)
+    remarks = tuple(dict.fromkeys(one.abscissa.note for one in signals.values() if one.abscissa.step == NO_INCREMENT))
+    return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out, remarks=tuple(filter(None, remarks)))
 
 
 def _rate_hz(holder: object) -> float | None:
@@ -126,7 +127,10 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
         factor = units.unit_factor(unit, "s") if units.quantity(unit) == "s" else None
         if factor is None:
             return Abscissa(AbscissaKind.OTHER, unit, offset, step), SignalKind.OTHER
-        return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor), SignalKind.TIME_RESPONSE
+        note = "wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate"
+        return Abscissa(
+            AbscissaKind.TIME, unit, offset * factor, step * factor, note=note if step * factor == NO_INCREMENT else ""
+        ), SignalKind.TIME_RESPONSE
     if listed is not None and has_times:
         return Abscissa(AbscissaKind.TIME, "s", float(listed[0]), None, listed - listed[0]), SignalKind.TIME_RESPONSE
     return even_times(rate_hz) if rate_hz else NO_ABSCISSA, SignalKind.TIME_RESPONSE
