@@ -172,6 +172,7 @@ def convert(
 
 def _unassigned(source: ImportedSignals) -> str:
     known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
+    known = known or "none of numbers"
     example = next(iter(source.signals), "NAME")
     strange = {name: one for name, one in source.signals.items() if one.kind is not SignalKind.TIME_RESPONSE}
     if strange and len(strange) == len(source.signals):

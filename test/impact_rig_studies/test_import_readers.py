@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import decimal
 import gc
@@ -499,6 +500,17 @@ def test_only_functions_of_time_are_time_responses(
     else:
         with pytest.raises(ImpactRigError, match=r"no time response .*: dataset 1 \(base\): (a|no) "):
             read_uff(tmp_path, content)
+
+
+@pytest.mark.parametrize(
+    ("code", "label", "unit"), [(0, "N", "mm"), (1, "NONE", "mm"), (13, "N", "mm/N"), (13, "NONE", "mm/quantity 13")]
+)
+def test_a_response_per_force_is_no_motion(tmp_path: Path, code: int, label: str, unit: str) -> None:
+    content = uff(tmp_path, orddenom_spec_data_type=code, orddenom_axis_units_lab=label)
+    found = read_uff(tmp_path, content)
+    assert found.signals["base"].unit == unit
+    with pytest.raises(ImpactRigError, match="must be a unit of m") if code == 13 else contextlib.nullcontext():
+        convert(found, guess(found))
 
 
 def test_a_universal_file_that_states_nothing_is_no_time_response(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ FUNCTIONS = {
     28: "phase compensation",
 }  # fmt: skip
 TIME, FREQUENCY, UNKNOWN = 17, 18, 0  # specific data types of an abscissa
+UNITLESS = (0, 1)  # specific data types without a quantity: unknown, general
 QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}  # specific data types of an ordinate
 SYSTEMS = {1: "m", 3: "m", 5: "mm", 6: "cm", 7: "in", 9: "mm"}  # unit of length by the code of dataset 164
 _PER_SECONDS = {8: "", 11: "/s", 12: "/s^2"}
@@ -174,11 +175,14 @@ def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
 def _unit(one: dict[str, Any], system: str) -> str:
     """Return the unit of a dataset's values: its label, or else that of their quantity with `system` as unit of length.
 
-    It is empty if neither is known.
+    It is empty if neither is known. Values per another quantity, such as an impulse response in mm/N, have both units.
     """
     label = _label(one.get("ordinate_axis_units_lab"))
-    quantity = int(one.get("ordinate_spec_data_type", 0) or 0)
-    return label or (system + _PER_SECONDS[quantity] if system and quantity in QUANTITIES else "")
+    quantity, below = (int(one.get(f"{name}_spec_data_type", 0) or 0) for name in ("ordinate", "orddenom"))
+    unit = label or (system + _PER_SECONDS[quantity] if system and quantity in QUANTITIES else "")
+    if below not in UNITLESS:
+        unit = f"{unit or '?'}/{_label(one.get('orddenom_axis_units_lab')) or f'quantity {below}'}"
+    return unit
 
 
 def _label(value: object) -> str:
