@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -190,6 +191,7 @@ _BETWEEN = frozenset({
     "analog",
 })  # fmt: skip
 """Words that may stand between `sample rate` and its number, with units; any other names another quantity."""
+MOST_STATED = 100  # largest number of places at which a rate may be stated: pint takes a millisecond for a unit
 SAME_RATE = 0.05  # largest relative difference of two statements of one rate, one of which may have few digits
 
 
@@ -211,10 +213,9 @@ def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None 
         decimal: decimal sign of the table, which `1,000` does not tell.
         delimiter: character between the cells of the table; `Sample rate,125,125` has two numbers if it is a comma.
     """
-    found: list[StatedRate] = []
-    for line in lines:
-        text = _REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300]))
-        found += filter(None, (_rate_of(match, decimal, delimiter) for match in _STATED.finditer(text)))
+    texts = (_REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300])) for line in lines)
+    matches = itertools.islice((match for text in texts for match in _STATED.finditer(text)), MOST_STATED)
+    found = [one for match in matches if (one := _rate_of(match, decimal, delimiter))]
     if not found or found[0].hz is None:
         return StatedRate()
     first = found[0].hz

@@ -25,6 +25,7 @@ import os
 import struct
 import subprocess
 import sys
+import time
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -385,7 +386,9 @@ def test_a_table_over_frequency_is_a_spectrum() -> None:
 
 
 @pytest.mark.parametrize("size", [1_000, 3_000_000])
-@pytest.mark.parametrize("text", ["base (", "base [(", "x" * 10 + "((", "sampling rate ", "1:1:1:", '"', "µ ", "1,1."])
+@pytest.mark.parametrize(
+    "text", ["base (", "base [(", "x" * 10 + "((", "sampling rate ", "fs ch 1 ", "fs 1 x ", "1:1:1:", '"', "µ ", "1,1."]
+)
 def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: int) -> None:
     """A quadratic expression would need hours here, and end at the time limit of the suite."""
     long = (text + "a" * 50) * (size // (len(text) + 50))
@@ -396,6 +399,14 @@ def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: 
         text_table(f"{long}\n1,2\n3,4\n")
     except ImpactRigError:
         return
+
+
+@pytest.mark.parametrize("text", ["fs ch 1 ", "fs 1 x ", "sample rate (1 "])
+def test_many_places_for_a_rate_cost_little_time(text: str) -> None:
+    """Each word there is looked up as a unit, which took 6 s for 220 lines."""
+    begin = time.process_time()
+    headings.stated_rate([text * 40] * 220)
+    assert time.process_time() - begin < 3.0
 
 
 def test_many_columns_are_refused_before_they_are_read(tmp_path: Path) -> None:
