@@ -300,7 +300,13 @@ class Faults:
         return self.acting(start_ns, now_ns, now_ns)
 
     def acting(self, start_ns: int, begin_ns: int, end_ns: int) -> list[str]:
-        """Return the faults that were active at any time from `begin_ns` to `end_ns`, as `in_force` does."""
+        """Return the faults that were active after `begin_ns` and up to `end_ns`, as texts like `in_force`.
+
+        Args:
+            start_ns: stamp of scan 0; faults that began earlier belong to another rig.
+            begin_ns: rig time [ns]; a fault that ended then or earlier is left out.
+            end_ns: rig time [ns]; a fault that begins later is left out.
+        """
         found: dict[int, str] = {}
         for stamp, number, begins, words in self._rows:
             if begins and start_ns <= stamp <= end_ns:

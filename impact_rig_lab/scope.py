@@ -292,12 +292,12 @@ def _columns(values: NDArray[Any], step: int) -> NDArray[Any]:
 
 
 def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tuple[float, NDArray[np.float32]]:
-    """Return the amplitude spectrum of a channel for the page.
+    """Return the amplitude spectrum of a channel for the page, without its mean.
 
     Args:
-        values: consecutive scans, shape (n,); NaN counts as 0.
+        values: consecutive scans, shape (n,); NaN counts as 0, before the mean is subtracted.
         rate_hz: scans per second.
-        top_hz: highest frequency of the result.
+        top_hz: frequency that the lines of the result reach or just exceed.
 
     Returns:
         Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on, with a Hann window; no amplitudes for

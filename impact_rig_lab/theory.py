@@ -169,14 +169,16 @@ def continued(directory: Path) -> Continued:
         from impact_rig_studies.maps.plan import FREQUENCY  # noqa: PLC0415
     except ImportError as error:
         raise ConfigError(
-            f"{directory}: its branches cannot be read, because the package impact_rig_studies is not installed"
+            f"{directory}: the branches of `impact-rig dynamics continue` cannot be read, because the package "
+            "impact_rig_studies is not installed"
         ) from error
 
     done = plan.open_study(directory, plan.CONTINUE)
     study = done.plan
     if study.over != FREQUENCY:
         raise ConfigError(
-            f"{directory}: its branches are over {study.over}, the page can draw only those over {FREQUENCY}"
+            f"{directory}: its branches of `impact-rig dynamics continue` are over {study.over}, the page can draw "
+            f"only those over {FREQUENCY}"
         )
     rig = to_flat(study.base)
     return Continued(

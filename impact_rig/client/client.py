@@ -241,11 +241,15 @@ class Activation:
             self._identify()
             instance = instance or self._first
             if instance != self._instance:
-                raise RigGoneError(f"{what}: the rig it was sent to is gone; another rig has started")
+                raise RigGoneError(
+                    f"{what}: the rig is gone, and another rig has started: repeat the call to address that one"
+                )
             silent = self._is_there and self._clock() - max(self._reported_at, since) > silence_s
             self._is_gone |= silent
             if self._is_gone:
-                raise RigGoneError(f"{what}: the rig it was sent to is gone; no report from it for {GONE_S:g} s")
+                raise RigGoneError(
+                    f"{what}: the rig is gone: no report from it for {GONE_S:g} s; start a rig and repeat the call"
+                )
 
         return check
 

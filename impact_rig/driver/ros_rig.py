@@ -253,7 +253,8 @@ class RosRig(RigDriver):
         """
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
-            raise ConfigError(f"hosted node {node.get_name()!r} does not subscribe to {SCANS}")
+            resolved = self.client.node.resolve_topic_name(SCANS)
+            raise ConfigError(f"hosted node {node.get_name()!r} does not subscribe to {SCANS} ({resolved})")
         self._tested.append(node)
         self._add_peer(node.get_name())
         return node
@@ -317,7 +318,8 @@ class RosRig(RigDriver):
             return
         end, what = self.sample + blocks * self.block_scans, f"{blocks} blocks of scans"
         try:
-            self.client.wait_until(lambda: self._received_to() >= end, what, timeout_s, self.client.given(what))
+            check = self.client.given(f"waiting for {what}")
+            self.client.wait_until(lambda: self._received_to() >= end, what, timeout_s, check)
         finally:
             self.sample = self._received_to()
 

@@ -349,7 +349,10 @@ class Acknowledgements:
                 executor.create_task(self._later)
 
     def flush(self) -> None:
-        """Send an acknowledgement that is still due; call this when the node is deactivated, which ends the timer."""
+        """Acknowledge now the processed blocks of `daq/scan` that are not acknowledged yet.
+
+        Call this when the node is deactivated: that ends the timer for the blocks of a rig in real time.
+        """
         self.is_timed = self._has_timer = False
         if self._node.context.ok():
             self._send()

@@ -115,7 +115,8 @@ class StandardServices:
         elif wanted not in {states.STATE_STOPPED, states.STATE_PLAYING, states.STATE_PAUSED, states.STATE_QUITTING}:
             tell(
                 codes.RESULT_FEATURE_UNSUPPORTED,
-                f"unknown simulation state {wanted}: must be STOPPED, PLAYING, PAUSED or QUITTING",
+                f"unknown simulation state {wanted}: must be {states.STATE_STOPPED} (STOPPED), {states.STATE_PLAYING} "
+                f"(PLAYING), {states.STATE_PAUSED} (PAUSED) or {states.STATE_QUITTING} (QUITTING)",
             )
         elif present == states.STATE_QUITTING:
             tell(response.INCORRECT_TRANSITION, "the state cannot change: the rig is quitting")

@@ -89,7 +89,7 @@ class Digests:
         for key in sorted({*found, *recorded}):
             name = key.removeprefix(_TOPIC)
             if key not in found:
-                yield f"{name}, which was recorded, is missing"
+                yield f"the file no longer lists {name}, which was recorded: it was removed after the recording"
             elif key not in recorded:
                 yield f"{name} was not recorded by the recorder of this file"
             elif found[key] != recorded[key]:

@@ -564,7 +564,7 @@ def _items(
     return items
 
 
-_REMEDY = "impact-rig recover saves the intact messages, if there are any"
+_REMEDY = "impact-rig recover saves the intact chunks, if there are any"
 _BEING_WRITTEN = (
     "it is still being recorded: read it when the recording has ended (Ctrl-C, or ~/stop of the recorder), or "
     "copy its present content with impact-rig recover"
@@ -906,6 +906,6 @@ def topics_of(summary: Summary) -> dict[int, TopicDescription]:
     for channel in summary.channels.values():
         schema = summary.schemas.get(channel.schema_id)
         if schema is None and channel.schema_id:
-            raise DamageError(f"topic {channel.topic} has no schema")
+            raise DamageError(f"its index lacks the message definition of topic {channel.topic}")
         topics[channel.id] = TopicDescription.from_channel(channel, schema)
     return topics

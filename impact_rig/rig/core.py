@@ -126,7 +126,10 @@ def _check_together(config: RigConfig, model: Model) -> None:
 
 @attrs.frozen(eq=False)
 class Block:
-    """Block of consecutive scans of a rig, with the true motion and contacts during them."""
+    """Block of consecutive scans of a rig, with the true motion, and with the contacts that ended, during them.
+
+    If a fault withholds the scans (`lost`), all other tables are still published.
+    """
 
     number: int  # number of blocks since the start or reset
     first_scan: int  # index of the first scan since the start or reset
@@ -135,7 +138,7 @@ class Block:
     impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
     monitor_states: NDArray[np.void]
     """True motion at the instants of the monitor topics: rows of `blocks.TRUTH_SCAN`, time since `scan`'s stamp."""
-    monitor_scans: NDArray[np.int64]  # rows of `scan` at the monitor instants
+    monitor_scans: NDArray[np.int64]  # indices of the rows of `scan` at the monitor instants
     truth: Table | None  # `truth/scan`, if configured
     faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
     lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
@@ -261,9 +264,10 @@ class Rig:
         return self._generator.stream
 
     def blocks_with_samples(self, most: int) -> int:
-        """Return for how many of the next `most` blocks the stream has samples: so far may a rig that waits go on.
+        """Return how many of the next `most` blocks a rig that waits for samples may simulate: those with samples.
 
-        Return `most` if the drive is not a stream, or does not wait for samples (`drive.stream_wait`).
+        It is `most` if the drive is not a stream, does not wait (`drive.stream_wait`), or gets no more samples because
+        the stream has ended or was stopped.
         """
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None

@@ -104,7 +104,7 @@ class Verification:
 
     def __str__(self) -> str:
         if self.identical is None:
-            return f"not verifiable here: {self.reason}"
+            return f"not verifiable: {self.reason}"
         if self.identical:
             return f"identical: {self.scans} scans re-simulated bit for bit"
         return f"different after {self.scans} identical scans: {self.reason}"
@@ -254,7 +254,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
             found.append([])
         found[-1].append(entry)
     if problem is not None and not found:
-        raise problem
+        raise RecordingError(f"no message on {journal} is a journal entry; of the first: {problem}")
     return found, _overlapping(found, sent), max(0, starts - 1), foreign
 
 

@@ -297,7 +297,8 @@ def refuse_foreign(directory: Path) -> None:
     """
     owners = {directory.stat().st_uid, directory.lstat().st_uid} - {os.geteuid()}
     if owners:
-        raise PermissionError(errno.EPERM, f"it belongs to another user (id {min(owners)})", str(directory))
+        why = f"it belongs to another user (id {min(owners)}), who could change its content: choose another directory"
+        raise PermissionError(errno.EPERM, why, str(directory))
 
 
 def _put(partial: Path, path: Path) -> None:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from impact_rig.driver import RigDriver
 
 UPDATE_OPTION = "--rig-update-golden"
+_RENEW = f"if the new result is right, run pytest once with {UPDATE_OPTION}"
 
 
 class Golden:
@@ -79,7 +80,9 @@ class Golden:
                 expected = golden.tables(topic, recorded_order=True)
                 difference = first_difference(rig.tables(topic), expected, tolerances or {})
                 if difference:
-                    raise AssertionError(f"{topic} differs from the golden run {where}: {difference}")
+                    raise AssertionError(
+                        f"{topic} differs from the golden run {where}; first difference: {difference}; {_RENEW}"
+                    )
 
     def values(self, found: Mapping[str, float], rel: float = 1e-9, abs: float = 0.0) -> None:  # noqa: A002  # as in pytest.approx
         """Compare named numbers, such as results of an analysis, with the golden ones.
@@ -109,7 +112,7 @@ class Golden:
             or not np.isclose(numbers[name], expected[name], rel, abs, equal_nan=True)
         ]
         if wrong:
-            raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}")
+            raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}; {_RENEW}")
 
     def _absent(self, where: Path) -> str:
         return f"there is no {where} yet: run pytest once with {UPDATE_OPTION}, check the result, and keep it"
@@ -145,7 +148,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             if len(bad):
                 i = int(bad[0])
                 return (
-                    f"{name} in row {i} at {one.stamp_ns / NS_PER_S:.9f} s: "
+                    f"{name} in row {i} of the table at {one.stamp_ns / NS_PER_S:.9f} s: "
                     f"{quoted(one.rows[name][i])}, golden {quoted(other.rows[name][i])}"
                 )
     return "" if len(got) == len(right) else f"{len(got)} tables, golden {len(right)}"

@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,8 +50,12 @@ def run_import(arguments: argparse.Namespace) -> int:
     drive = read(arguments.commands) if arguments.commands else None
     sheet = read(arguments.calibration) if arguments.calibration else None
     several = len(arguments.files) > 1
-    if several and len({file.stem for file in arguments.files}) < len(arguments.files):
-        raise ConfigError("two files have the same name, and a run is named after its file: import them separately")
+    (name, count), *_ = Counter(file.stem for file in arguments.files).most_common(1)
+    if count > 1:
+        raise ConfigError(
+            f"{count} files are named {name!r} without folder and suffix, and a run is named after its file: "
+            "rename them"
+        )
     output: Path = arguments.output
     below = "runs" if arguments.campaign else ""
     parts = [Path(below, file.stem) if several or arguments.campaign else Path() for file in arguments.files]

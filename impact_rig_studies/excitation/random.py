@@ -202,7 +202,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
             worst = lines[band][np.argmax(error)]
             raise CommandError(
                 f"the response at {worst:g} Hz is {error.max():.1f} dB above the request, more than abort_db = "
-                f"{plan.abort_db:g} dB: the test has ended; request less there, or raise abort_db"
+                f"{plan.abort_db:g} dB: the test has ended; lower start_rms, request more there (noise or distortion "
+                "can exceed a low request), or raise abort_db"
             )
         # relative to the frames actually sent: their deviation from the mean must not be corrected
         wanted = sent[band] * 10.0 ** (-error / 10.0) / density[band]

@@ -140,7 +140,10 @@ class Information:
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether the parameter `name` by itself has a relative standard uncertainty of at most `DETERMINED`."""
+        """Return whether the data determine the parameter `name`.
+
+        They do if its relative standard uncertainty, with all other parameters free, is at most `DETERMINED`.
+        """
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 

@@ -340,8 +340,11 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Ma
             )
             mapping = attrs.evolve(mapping, frequency=measured_hz)
         else:
-            data = f"the data show {measured_hz:.5g} Hz" if measured_hz > 0.0 else "the data contain no clear sine"
-            said.append(f"drive frequency {named:g} Hz, guessed from the file name; {data}")
+            agree = f"which agree within {within:.2g} Hz"
+            data = f"the data show {measured_hz:.5g} Hz, {agree}" if measured_hz > 0 else "the data have no clear sine"
+            said.append(
+                f"drive frequency {named:g} Hz, guessed from the file name; {data}; state another with --frequency HZ"
+            )
     if "gap" in mapping.guessed and isinstance(mapping.gap, float):
         gap = f"{mapping.gap * 1e3:g} mm" if mapping.gap else "none (no sphere)"
         said.append(f"gap {gap}, guessed from the file name; state another with --gap")

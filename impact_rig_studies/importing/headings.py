@@ -152,7 +152,8 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row of a table's heading contains units.
 
     It does if every filled cell is a unit, or the first cell is a label such as `units`. It also does if its first cell
-    is a unit of time or frequency below the name of such a column in the row `above`; the others may then be unknown.
+    is a unit of time or frequency below the name of such a column, and the row `above` has no empty cell; the others
+    may then be unknown.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:

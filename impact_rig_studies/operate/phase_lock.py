@@ -209,7 +209,8 @@ class PhaseLock:
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
         """Continue with another peak current from the present frequency on, and return the setpoint.
 
-        The phase must then be locked again within the plan's `lose_limit_s`, otherwise the lock is aborted.
+        The phase must then be locked again within the plan's `lose_limit_s` (`seek_limit_s` if it has not been locked
+        yet), otherwise the lock is aborted.
         """
         self.current_a = current_a
         self.unlock(now_ns)

@@ -152,7 +152,7 @@ class _Figure:
 def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
     """Return figures as HTML, side by side as the page width allows; `large` makes them larger.
 
-    The reader can enlarge each, and each has a link to its numbers as CSV.
+    The reader can enlarge each, and each that has lines has a link to its numbers as CSV.
     """
     shown = [
         _Figure(

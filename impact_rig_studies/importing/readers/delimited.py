@@ -65,7 +65,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a text table, or a LabVIEW measurement file with another suffix.
 
     Raises:
-        RecordingError: there are no rows of numbers, or a row does not fit the others; the message names the line.
+        RecordingError: no row of numbers is within the first `HEADER_LINES` lines, or a row does not fit the first one;
+            for such a row the message names the line.
     """
     text, encoding = decode(content)
     lines = split_lines(text)

@@ -95,7 +95,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
     now += 0.99 * GONE_S
     check()
     now += 0.02 * GONE_S
-    with pytest.raises(RigGoneError, match="a command: the rig it was sent to is gone; no report"):
+    with pytest.raises(RigGoneError, match="a command: the rig is gone: no report"):
         check()
     with pytest.raises(RigGoneError):
         rig.given("the next")()

@@ -56,7 +56,7 @@ def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
 def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Client, Processes]) -> None:
     client, processes = driven
     began = time.monotonic()
-    with pytest.raises(RigGoneError, match=r"shaker/current = 0\.5: the rig it was sent to is gone"):
+    with pytest.raises(RigGoneError, match=r"shaker/current = 0\.5: the rig is gone: no report"):
         client.command(current_a=0.5)
     assert 2.0 <= time.monotonic() - began < 2.0 + 2.0 * AT_ONCE_S
     began = time.monotonic()

@@ -136,7 +136,7 @@ WITHOUT = {  # options of rosbag2's storage configuration that leave out parts o
 def test_a_bag_without_a_part_of_its_index_is_refused_with_advice_that_works(native, tmp_path, option):
     options, reason = WITHOUT[option]
     path = rewrite(native, tmp_path / "bag.mcap", **options)
-    with pytest.raises(RecordingError, match=rf"bag\.mcap: {reason}; impact-rig recover saves the intact messages"):
+    with pytest.raises(RecordingError, match=rf"bag\.mcap: {reason}; impact-rig recover saves the intact chunks"):
         open_run(path)
     assert recover(path, tmp_path / "out").complete
     assert content(tmp_path / "out") == content(native)

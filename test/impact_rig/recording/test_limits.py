@@ -264,9 +264,7 @@ def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
     )
     message = run_limited(tmp_path, limit)
     assert "run.mcap: File too large; the file ends with its last complete record" in message
-    with pytest.raises(
-        RecordingError, match="its writer was interrupted; impact-rig recover saves the intact messages"
-    ):
+    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover saves the intact chunks"):
         open_run(tmp_path / "run")
     report = recover(tmp_path / "run", tmp_path / "out")
     assert report.damage_count == 0
