@@ -179,7 +179,7 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
     study.write_text(study.read_text().replace(over, "from: 0.005, to: 0.007, at: 0.006, points: 2"))
     assert main(words) == 0
     with pytest.raises(
-        ConfigError, match="its branches are over gap_m, the page can draw only those over frequency_hz"
+        ConfigError, match="are over gap_m, the page can draw only those over frequency_hz"
     ):
         continued(out)
 

@@ -476,7 +476,7 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
         np.savez(file, base=1e-3 * np.sin(turn), laser=1e-2 * np.sin(turn))
     words = ["import", *map(str, files), "--output", str(tmp_path / "out"), "--scan-rate", str(RATE_HZ), *more]
     assert main(words) == 1
-    assert "two files have the same name" in capsys.readouterr().err
+    assert "are named 'own' without folder and suffix" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
