@@ -55,7 +55,7 @@ def add_command(commands: Commands) -> None:
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
     parser.add_argument(
         "runs", nargs="*", type=Path, metavar="RUN",
-        help="recorded run to play back instead of starting a rig; two runs are shown side by side",
+        help="recorded run to play back, without ROS 2, instead of starting a rig; two runs are shown side by side",
     )  # fmt: skip
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE",

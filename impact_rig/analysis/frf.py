@@ -24,7 +24,8 @@ variance is that of Student's t (GUM Supplement 1, 6.4.9). With two averages or 
 infinite.
 
 If a segment is shorter than the ringing of the resonance, |H1| is too small at its peak. With σ = ζω_n and r(τ) the
-normalised autocorrelation of the window, the true value exceeds the estimate by at most the share `resolution_bias`.
+normalised autocorrelation of the window, the true value exceeds the estimate by at most the share 2 (1/r(1/σ) − 1)
+(`resolution_bias`).
 This bias decreases as σ²/(σ² + (ω − ω_n)²) away from the peak and is part of the uncertainty, as a rectangular limit.
 The resonance is found from the record itself (`find_resonance`) at any resolution.
 """

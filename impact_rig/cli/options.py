@@ -131,11 +131,11 @@ def add_through(parser: argparse.ArgumentParser, ways: tuple[str, ...], what: st
 def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
     """Add `--through` with all three places where a rig can run, and `--namespace` for a rig that already runs.
 
-    `needs` is appended to the help text: what such a rig must be configured for.
+    `needs` is appended to the help text: what that configuration must have.
     """
     what = (
         "where the rig runs: process, in this program (default); ros, in ROS nodes that this program starts; "
-        f"running, a rig that already runs{needs}"
+        f"running, a rig that already runs, with its own configuration{needs}"
     )
     add_through(parser, (PROCESS, ROS, RUNNING), what)
     parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")

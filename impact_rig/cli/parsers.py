@@ -39,14 +39,14 @@ def add_record(commands: Commands) -> None:
     """Add the command `impact-rig record`, with its options and help, to the commands of the program."""
     parser = subcommand(
         commands, "record", "impact_rig.cli.record:run_record",
-        "record one run at one frequency and current, and measure its DT",
+        "record one run at one frequency and current, and measure its displacement transmissibility DT",
         [
             ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
             ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
             ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
         ],
-        "The last printed line is the directory of the run. Exit code 0: DT was measured; 1: it was not, for the "
-        "printed reason.",
+        "The last printed line is the directory of the run. Exit code 0: DT was measured over the whole run; 1: it was "
+        "not measured, or the run ended early, for the printed reason.",
     )  # fmt: skip
     parser.add_argument(
         "--frequency", type=Quantity.of(FREQUENCY), metavar="HZ",
@@ -54,7 +54,8 @@ def add_record(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--current", type=CURRENT, metavar="A",
-        help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged)",
+        help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged, or, if "
+        "given, set to 0 at the end)",
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=positive("s"), default=SECONDS, metavar="S",
@@ -114,8 +115,9 @@ def add_analyze(commands: Commands) -> None:
             ("analyze runs/demo/gap_6mm --figures pictures", "also draws time traces, phase plane, spectrum, curves"),
             ("analyze runs/chirp --frf", "frequency response of a chirp, with lines as fine as its resonance needs"),
         ],
-        "Exit code 0: equal to the live analysis, or no live analysis to compare with, also if nothing was measured; "
-        "1: different, or not readable.",
+        "DT is the displacement transmissibility. Exit code 0: equal to the live analysis, or no live analysis to "
+        "compare with, also if nothing was measured; 1: different, or not readable. With --sine or --drop 1 also means "
+        "that the result is not valid.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also print rows that have no value of DT, with the reason")
@@ -288,8 +290,8 @@ def add_fmu(commands: Commands) -> None:
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
         "--kernels", type=Path, metavar="DIR",
-        help="folder of kernels compiled for another machine, on which the FMU is to run (default: the kernels of this "
-        "package)",
+        help="folder of kernels compiled for another machine, on which the FMU is to run; docs/how-to/fmu.md shows how "
+        "to compile them (default: the kernels of this package)",
     )  # fmt: skip
 
 

@@ -48,12 +48,14 @@ def add_demo(commands: Commands) -> None:
     """Register the command `impact-rig demo` with its options."""
     parser = subcommand(
         commands, "demo", "impact_rig_studies.cli.demo:run_demo",
-        "measure the paper's five reductions of DT with a rig, an analysis and a recorder as ROS processes",
+        "measure the paper's five reductions of displacement transmissibility DT with a rig, an analysis and a "
+        "recorder as ROS processes",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
         ],
-        "The last line is the directory of the results. Exit code 0: every reduction within 3 points of the paper.",
+        "The last line is the directory of the results. Exit code 0: every reduction is within 3 points "
+        "of the paper, and all other checks hold; 1: a check failed, which is named.",
     )  # fmt: skip
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
@@ -111,15 +113,20 @@ def add_import(commands: Commands) -> None:
             ("import sweep/*.mat --output runs/my_sweep --campaign", "frequency and gap of each point in a file name"),
         ],
         "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
-        "Rattlesnake netCDF4 and ROS bags. DT needs laser (motion of the structure) and base (motion below "
-        "the structure), each as displacement, velocity or acceleration: docs/tutorials/own_measurement.md.",
+        "Rattlesnake netCDF4 and ROS bags. The transmissibility DT needs laser (motion of the structure) and base "
+        "(motion below the structure), each as displacement, velocity or acceleration: "
+        "docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="file with a measurement, in one of the formats below"
     )
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR", help="new directory for the run, or for the campaign"
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="new directory that receives the run, several runs, or the campaign",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
@@ -177,8 +184,8 @@ def add_drive(commands: Commands) -> None:
             ("drive lock --gap none", "find the resonance without a sphere, and track it"),
             ("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz"),
         ],
-        "`impact-rig drive TEST --help` shows the options of a test. Each writes its results to a new directory, whose "
-        "name is the last line of its output.",
+        "`impact-rig drive TEST --help` shows the options of a test. DT is the displacement "
+        "transmissibility. Each test writes its results to a new directory, whose name is the last line of its output.",
     )  # fmt: skip
     tests = parser.add_subparsers(dest="test", required=True, metavar="TEST", help="kind of test")
     for add in (
@@ -189,7 +196,7 @@ def add_drive(commands: Commands) -> None:
 
 
 RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
-PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: built-in settings)"
+PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: {})"
 EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
 """Option of `drive frf` -> attribute of `signals.Excitation` that it sets."""
 
@@ -210,7 +217,7 @@ def _add_play(tests: Commands) -> None:
     parser.add_argument(
         "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
     )
-    _add_signal(parser)
+    _add_signal(parser, "current")
     parser.add_argument(
         "--seconds", type=positive("s"), metavar="S", help="rig time after which the signal ends (default: all of it)"
     )
@@ -256,10 +263,12 @@ def _add_random(tests: Commands) -> None:
     """Register the test `impact-rig drive random` with its options."""
     parser = subcommand(
         tests, "random", "impact_rig_studies.cli.drive_stream:run_random",
-        "shake the rig with random noise of a requested power spectral density",
+        "shake the rig with random noise, corrected until a response has a requested power spectral density",
         [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
     )  # fmt: skip
-    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random"))
+    parser.add_argument(
+        "plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random", "the base's acceleration, 5 to 200 Hz")
+    )
     _add_stream_options(parser, "random", RATE_HZ)
 
 
@@ -268,28 +277,38 @@ def _add_replicate(tests: Commands) -> None:
     parser = subcommand(
         tests, "replicate", "impact_rig_studies.cli.drive_stream:run_replicate",
         "make a motion of the rig follow a given signal, by learning from repeated trials",
-        [("drive replicate road.csv --signal base --unit mm", "the base follows a column of a file")],
+        [("drive replicate road.csv --signal x_b --unit mm", "the motion of the base follows the column x_b")],
     )  # fmt: skip
     parser.add_argument(
         "file", type=Path, metavar="FILE", help="file with the signal to follow, in a format of `import`, or a run"
     )
-    _add_signal(parser)
-    parser.add_argument("--plan", type=Path, metavar="FILE", help=PLAN.format("replicate"))
+    _add_signal(parser, "the one that follows")
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="FILE",
+        help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 10 trials"),
+    )
     _add_stream_options(parser, "replicate", RATE_HZ)
 
 
 def _add_shock(tests: Commands) -> None:
     """Register the test `impact-rig drive shock` with its options."""
     parser = subcommand(
-        tests, "shock", "impact_rig_studies.cli.drive_stream:run_shock", "make the base follow a compensated half sine",
+        tests, "shock", "impact_rig_studies.cli.drive_stream:run_shock",
+        "make the base follow a compensated half sine, by learning from repeated trials",
         [("drive shock", "20 m/s², 11 ms")],
     )  # fmt: skip
-    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock"))
+    parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock", "20 m/s², 11 ms"))
     _add_stream_options(parser, "shock", FAST_HZ)
 
 
-def _add_signal(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signal", metavar="NAME", help="column of the file, or channel of the run, to use")
+def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
+    parser.add_argument(
+        "--signal",
+        metavar="NAME",
+        help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
+    )
     parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
@@ -304,7 +323,7 @@ def _add_signal(parser: argparse.ArgumentParser) -> None:
 
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
     add_rig(parser)
-    add_way(parser, " (drive.waveform: stream)")
+    add_way(parser, " and drive.waveform: stream")
     parser.add_argument(
         "--scan-rate", type=int, default=rate_hz, metavar="HZ",
         help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
@@ -375,7 +394,7 @@ def _add_backbone(tests: Commands) -> None:
     """Register the test `impact-rig drive backbone` with its options."""
     parser = subcommand(
         tests, "backbone", "impact_rig_studies.cli.drive_sine:run_backbone",
-        "find the resonance at each of several currents, first upwards and then downwards",
+        "find the resonance at each of several currents, in ascending and then in descending order",
         [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
     )  # fmt: skip
     parser.add_argument(
@@ -421,7 +440,13 @@ def add_campaign(commands: Commands) -> None:
         "The last line is the directory of the results; `impact-rig report` makes a page of it.",
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE", help="campaign file, e.g. config/paper.yaml")
+    parser.add_argument(
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE",
+        help="campaign file (required), e.g. config/paper.yaml; it may also follow --through WAY",
+    )
     parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == "ros")
     parser.add_argument(
         "--through", nargs="+", default=["process"], metavar="WAY",
@@ -458,7 +483,8 @@ def add_report(commands: Commands) -> None:
     add_output(parser, "directory for report.html and report.json (default: DIR)")
     parser.add_argument(
         "--margins", type=Path, metavar="DIR",
-        help="campaign with varied constants (config/campaigns/margins.yaml), for the statements' sensitivity",
+        help="campaign with varied constants (config/campaigns/margins.yaml), for the sensitivity of the "
+        "paper's statements",
     )  # fmt: skip
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
@@ -472,15 +498,17 @@ def add_map(commands: Commands) -> None:
     """Register the command `impact-rig map` with its options."""
     parser = subcommand(
         commands, "map", "impact_rig_studies.cli.mechanics:run_map",
-        "compute DT and regimes of the model over two or three parameters; run again to resume",
+        "compute displacement transmissibility DT and regimes of the model over two or three parameters; run again to "
+        "resume",
         [
             ("map config/maps/gap_frequency.yaml", "on all cores; writes a table and draws the map"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
     )  # fmt: skip
     parser.add_argument(
-        "file", nargs="?", type=Path, metavar="FILE", help="map file, e.g. config/maps/gap_frequency.yaml"
-    )
+        "file", nargs="?", type=Path, metavar="FILE",
+        help="map file (required), e.g. config/maps/gap_frequency.yaml; it may also follow --through WAY",
+    )  # fmt: skip
     parser.add_argument(
         "--exponent", action="store_true",
         help="compute the largest Lyapunov exponent of every motion that is not periodic",
@@ -502,7 +530,8 @@ def add_dynamics(commands: Commands) -> None:
     parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
     parser.add_argument(
         "file", nargs="?", type=Path, metavar="FILE",
-        help="file that defines the studies, e.g. config/dynamics/nominal.yaml",
+        help="file that defines the studies (required), e.g. config/dynamics/nominal.yaml; it may also follow "
+        "--through WAY",
     )  # fmt: skip
     _add_task_options(parser, "dynamics")
 
@@ -531,7 +560,13 @@ def add_identify(commands: Commands) -> None:
         ],
     )  # fmt: skip
     add_json(parser)
-    parser.add_argument("directory", nargs="?", type=Path, metavar="DIR", help="directory of a campaign")
+    parser.add_argument(
+        "directory",
+        nargs="?",
+        type=Path,
+        metavar="DIR",
+        help="directory of a campaign, which receives the results (required without --paper)",
+    )
     parser.add_argument(
         "--decay", type=Path, metavar="RUN",
         help="recorded free decay after a pluck (default: pluck the simulated rig; none for an imported campaign)",
@@ -542,7 +577,8 @@ def add_identify(commands: Commands) -> None:
     )
     parser.add_argument(
         "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), metavar="DATA",
-        help="data not to use: decay (free decay), sine (DT without sphere), reductions (DT with it)",
+        help="data not to use: decay (free decay), sine (displacement transmissibility DT without sphere), "
+        "reductions (DT with it)",
     )  # fmt: skip
     parser.add_argument(
         "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
