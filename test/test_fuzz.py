@@ -130,7 +130,7 @@ def test_a_table_without_its_columns_is_refused_by_name(topic: str, rows: np.nda
     [
         ("rate", 1e12, "rate must be one positive number of Hz for all channels, at most 1e"),
         ("since_start", np.nan, "since_start must be within"),
-        ("name", b"laser", "must have one row for each of"),
+        ("name", b"laser", "must have at least one row and no two of the same channel"),
         ("noise", 1e200, "noise must be infinite or at most 1e"),
     ],
 )

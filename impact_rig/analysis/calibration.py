@@ -151,7 +151,8 @@ class Calibration:
         counts = np.array([names.count(channel) for channel in CHANNELS])
         if counts.max() != 1:
             raise ConfigError(
-                f"daq/info must have one row for each of {', '.join(CHANNELS)} that is measured, got {', '.join(names)}"
+                f"daq/info must have at least one row and no two of the same channel, of {', '.join(CHANNELS)}, got "
+                f"{', '.join(names) or 'none'}; correct the program that publishes it"
             )
         present = counts == 1
         measured = [names.index(channel) for channel in CHANNELS if channel in names]

@@ -283,6 +283,8 @@ class Chain:
     def clear(self, number: int | None = None) -> None:
         """End the fault with this number, or all faults, at the first scan not yet converted.
 
+        A fault that starts later never acts. A fault that has ended may be cleared again.
+
         Raises:
             CommandError: no such fault has been injected.
         """

@@ -70,7 +70,10 @@ functions that compute in software.
 NUMBA = "0.68.1"
 """Version of Numba that translates the kernels; other versions may lack the internal parts that the build uses."""
 TELL_S = 5.0
-WITHOUT = f"or set {VARIABLE}=jit (compiled by Numba at each first start) or =plain (very slow) to do without them"
+WITHOUT = (
+    f"or set {VARIABLE}=jit (compiled by Numba at the first start after each change) or =plain (very slow) to do "
+    "without them"
+)
 
 
 def this_machine() -> str:

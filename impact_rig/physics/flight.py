@@ -88,7 +88,7 @@ SEGMENT = np.dtype(
 
 
 class DriveSegment(NamedTuple):
-    """One segment of the drive, u(t) = (amplitude + growth t) sin(omega t + phase), in the form that kernels pass on.
+    """One segment of the drive, u(t) = (amplitude + growth t) sin(omega t + phase), in the form of kernels' arguments.
 
     t counts from the start of the segment, and `begin` is that start since the start of its tick [s].
     """
@@ -102,7 +102,7 @@ class DriveSegment(NamedTuple):
 
 @kernel
 def drive_segment(row: Record) -> DriveSegment:
-    """Return one record of SEGMENT as the tuple that kernels pass on."""
+    """Return one record of SEGMENT as the tuple that kernels pass to one another."""
     return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 

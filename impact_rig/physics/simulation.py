@@ -368,8 +368,8 @@ class Simulation:
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Continue from the seven numbers of a state that `state` returned.
 
-        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. The energy account begins
-        again.
+        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. With friction of the
+        guide, a sphere at rest between the walls is ATTACHED as well, until it slips. The energy account begins again.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -449,9 +449,9 @@ class Simulation:
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
     def stored_energy(self) -> float:
-        """Return the kinetic and potential energy of the rig [J] at the end of the last segment.
+        """Return the kinetic and potential energy of the rig [J] at the end of the last drive segment simulated.
 
-        It includes the energy of the coil's field and that of a contact's indentation.
+        It includes the energy of the coil's field and, during a contact, that of the indentation.
         """
         p, s, y = self._model.parameters[0], self._state, self._structure()
         stretch = y[X1] - y[XB]
