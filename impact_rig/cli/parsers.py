@@ -199,9 +199,13 @@ def add_replay(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--peers", nargs="+", default=[], metavar="NODE",
-        help="nodes for whose acknowledgement of each block the replay waits, so that they lose none",
+        help="nodes for whose acknowledgement of each block the replay waits, so that they lose none; required by "
+        "--rate max",
     )  # fmt: skip
-    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all)")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC",
+        help="topics to publish, with --peers also daq/scan (default: all)",
+    )  # fmt: skip
     parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     parser.add_argument(
         "--paused", action="store_true", help="start paused, until a call of /player/pause with `data: false`"
@@ -305,8 +309,9 @@ def add_daqmx(commands: Commands) -> None:
         [
             ("daqmx", "a simulated rig as Dev1, on this machine only"),
             ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
-            ("daqmx --namespace /rig", "a running rig, in real time with drive.waveform: stream"),
+            ("daqmx --namespace /rig", "a rig that already runs in real time with drive.waveform: stream"),
         ],
+        "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks.",
     )  # fmt: skip
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
     parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")

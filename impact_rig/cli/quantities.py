@@ -78,11 +78,14 @@ class Quantity:
             raise argparse.ArgumentTypeError(str(error)) from error
 
     def parse(self, text: str) -> float | str:
-        """Return the value of `text` in the SI unit: `6mm` gives exactly the number 0.006.
+        """Return the value of `text` in the SI unit, or that of a word in `words`.
+
+        `6mm` gives exactly the number 0.006. Only a length needs its unit. With `names`, any other text is returned
+        unchanged, as the name of a signal.
 
         Raises:
-            ConfigError: the text is not a number with an allowed unit and in the allowed range; the message names no
-                option.
+            ConfigError: the text is neither a word nor a number in the allowed range, or its unit is missing or not
+                allowed; the message names no option.
         """
         if text in self.words:
             return self.words[text]

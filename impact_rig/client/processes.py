@@ -274,7 +274,10 @@ def isolated_domain() -> Iterator[int]:
     try:
         files.lock_directory()
     except OSError as error:
-        raise ImpactRigError(f"cannot reserve a ROS domain: {error.filename}: {error.strerror}") from error
+        raise ImpactRigError(
+            "cannot reserve a ROS domain: its lock file needs a private directory in one of "
+            f"{', '.join(map(str, files.LOCK_PARENTS))}; the last one tried is {error.filename}: {error.strerror}"
+        ) from error
     before = os.environ.get(DISCOVERY_VARIABLE)
     count = LAST_DOMAIN - FIRST_DOMAIN + 1
     first = time.monotonic_ns() // 1000 % count  # spreads the workers; the locks decide
@@ -300,8 +303,9 @@ def isolated_domain() -> Iterator[int]:
                 os.environ[DISCOVERY_VARIABLE] = before
         return
     raise ImpactRigError(
-        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: each is locked in "
-        f"{files.lock_directory() / FOLDER} or used by a running process"
+        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: a running program uses each, or its lock "
+        f"file in {files.lock_directory() / FOLDER} cannot be opened; end other programs with ROS nodes (ROS_DOMAIN_ID "
+        "has no effect here)"
     )
 
 

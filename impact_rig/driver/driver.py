@@ -266,7 +266,10 @@ class RigDriver(abc.ABC):
 
     @property
     def now_ns(self) -> int:
-        """Rig time of the next block since the start or the last reset [ns]."""
+        """Time of the next block's first scan [ns]: 0 at the start and after each reset.
+
+        The stamp of that scan is this time plus the stamp of scan 0.
+        """
         return stamp_ns(self.sample, self.rate_hz)
 
     @property

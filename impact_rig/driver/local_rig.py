@@ -193,7 +193,7 @@ class LocalRig(RigDriver):
         self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return the present state of the buffer that holds the samples of the drive."""
+        """Return how full the buffer of the drive's samples is, and how many samples were late or missing so far."""
         stream = self.core.stream
         late = int(self.core.stream_state().rows["late"][0])
         return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)

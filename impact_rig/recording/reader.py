@@ -316,7 +316,8 @@ class Run:
             return codec.decode(message.data, topic, needs)
         except CodecError as error:
             raise RecordingError(
-                f"{self.path}: {message.topic} at {message.log_time} ns is not a valid table: {error}"
+                f"{self.path}: the message of {message.topic} with log time {message.log_time} ns is not a valid "
+                f"table: {error} (impact-rig recover cannot repair it)"
             ) from error
 
     def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:

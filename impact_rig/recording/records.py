@@ -155,10 +155,10 @@ def plain_message(data: memoryview, most: int) -> memoryview:
 
     Args:
         data: message in CDR, or a zstd frame that contains one.
-        most: largest decompressed size [bytes].
+        most: largest decompressed size [bytes]; a message that is not compressed is not limited.
 
     Raises:
-        DamageError: the message cannot be decompressed, or is larger than `most`.
+        DamageError: the message cannot be decompressed, or its decompressed size is larger than `most`.
     """
     if bytes(data[:4]) != ZSTD_MAGIC:
         return data

@@ -729,6 +729,8 @@ class McapFile:
     def commit(self) -> None:
         """Write all complete records to the file, so that they survive if this process is killed.
 
+        These are the closed chunks and the records outside chunks; the messages of the open chunk are not written.
+
         Raises:
             RecordingError: the records cannot be written; the file ends with the last complete record.
         """

@@ -140,7 +140,10 @@ class RecordedSamples(Buffer):
         return self._switches[at] if at < len(self._switches) else max(first, len(self._recorded))
 
     def first_there(self, first: int) -> int | None:
-        """Return the number of the first sample from `first` on that was active; None if there is none."""
+        """Return the number of the first sample from `first` on that took effect in the recorded rig, or None.
+
+        The journal's BEGIN and END events of the stream decide.
+        """
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2 == 0:
             return first

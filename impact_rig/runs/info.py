@@ -401,7 +401,10 @@ class _Tally:
         try:
             table = codec.decode(message.data)
         except CodecError as error:
-            raise DamageError(f"{message.topic} at {message.log_time} ns is not a valid table: {error}") from error
+            raise DamageError(
+                f"the message of {message.topic} with log time {message.log_time} ns is not a valid table: {error} "
+                "(impact-rig recover cannot repair it)"
+            ) from error
         rig = self._rig(message, topics.SCAN)
         rig.blocks.append((table.stamp_ns, len(table.rows)))
         if rig.from_times is None:

@@ -107,7 +107,10 @@ def _check_data_section(source: McapSource) -> bool:
                 raise DamageError(f"{source.path} is shorter than its index says")
             found, position = zlib.crc32(part, found), position + len(part)
     if found != crc:
-        raise DamageError(f"{source.path}: the checksum of its data section does not match")
+        raise DamageError(
+            f"{source.path}: the checksum of its data section does not match; impact-rig recover saves the intact "
+            "chunks, and with --accept-unchecked also the messages outside chunks, which may be damaged"
+        )
     return True
 
 

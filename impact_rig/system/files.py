@@ -313,6 +313,7 @@ def _put(partial: Path, path: Path) -> None:
 
 
 LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders
+_NOT_PRIVATE = "it must belong to you and be closed to other users: delete it, or set its mode to 700"
 """Candidates for the parent of the directory of locks; the first usable one is taken.
 
 No environment variable decides, because all programs of a user on one machine must find the same locks.
@@ -411,7 +412,7 @@ def lock_directory() -> Path:
             if not stat.S_ISDIR(status.st_mode):
                 raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(directory))
             if status.st_uid != os.geteuid() or status.st_mode & 0o077:
-                raise PermissionError(errno.EPERM, "other users may change its content", str(directory))
+                raise PermissionError(errno.EPERM, _NOT_PRIVATE, str(directory))
             if not os.access(directory, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(directory))
         except OSError as error:

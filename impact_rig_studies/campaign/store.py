@@ -293,7 +293,10 @@ def _column(member: bytes) -> NDArray[np.generic]:
     shape, _, dtype = header(file)
     rest = len(member) - file.tell()
     if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
-        raise ValueError(f"an array must be one column of real numbers, {rest} bytes, got {dtype} of shape {shape}")
+        raise ValueError(
+            f"an array must be one column of real numbers that fill its {rest} bytes of data, "
+            f"got {dtype} of shape {shape}"
+        )
     return np.frombuffer(member, dtype, offset=file.tell())
 
 

@@ -54,8 +54,9 @@ def add_demo(commands: Commands) -> None:
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
         ],
-        "The last line is the directory of the results. Exit code 0: every reduction is within 3 points "
-        "of the paper, and all other checks hold; 1: a check failed, which is named.",
+        "DT is the displacement transmissibility. The last line is the directory of the results. Exit code 0: every "
+        "reduction is within 3 points of the paper and grows with the gap, DT without sphere is as in theory, and no "
+        "block was lost; 1: a check failed, which is named.",
     )  # fmt: skip
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
@@ -113,9 +114,10 @@ def add_import(commands: Commands) -> None:
             ("import sweep/*.mat --output runs/my_sweep --campaign", "frequency and gap of each point in a file name"),
         ],
         "Reads text tables (CSV, TSV, LVM), TDMS, universal files (dataset 58), MATLAB, WAV, Parquet, npz, "
-        "Rattlesnake netCDF4 and ROS bags. The transmissibility DT needs laser (motion of the structure) and base "
-        "(motion below the structure), each as displacement, velocity or acceleration: "
-        "docs/tutorials/own_measurement.md.",
+        "Rattlesnake netCDF4 and ROS bags. Each file becomes one run: in DIR itself, in DIR/NAME if there are several "
+        "files, or in DIR/runs/NAME with --campaign. DT, the displacement transmissibility, needs laser (motion of the "
+        "structure) and base (motion below the structure), each as displacement, velocity or acceleration; without "
+        "them the run has no DT: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
     parser.add_argument(
@@ -363,7 +365,12 @@ def _add_hold(tests: Commands) -> None:
     )
     _add_points(parser)
     add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
-    _add_current(parser)
+    current = attrs.fields(SweepPlan).current_a
+    parser.add_argument(
+        "--current", type=Quantity.of(current), default=current.default, metavar="A",
+        help="peak amplitude of the drive with which the control starts: a current, or by drive.kind a displacement "
+        "in m or a voltage in V (default: %(default)s)",
+    )  # fmt: skip
     _add_sine_options(parser, "hold")
 
 

@@ -76,7 +76,8 @@ def aligned(
     for name, one in abscissas.items():
         if one.kind is not AbscissaKind.TIME:
             raise ConfigError(
-                f"{path}: {name} is given over {one}, so it cannot be resampled at the times of the other signals"
+                f"{path}: {name} cannot be resampled at the times of the other signals, it has {one}: give it times "
+                f"or a rate in the file, or leave it out (--channel {name}=)"
             )
         listed = one.values if one.values is not None else np.arange(len(found[name])) * (one.step or 0.0)
         times[name] = np.asarray(one.start + listed)

@@ -13,8 +13,9 @@
 # limitations under the License.
 """Reader of ROS bags of other drivers (rosbag2 with MCAP or SQLite, ROS 1), with rosbags.
 
-Each number of a message is a signal. For `PointCloud2` these are its columns, if one of them is `time`. For other
-messages they are the fields, at the stamp in the header, or at the time of receipt without a header.
+Each number of a message is a signal, at the stamp in the header, or at the time of receipt if that is missing or zero.
+In a `PointCloud2` the columns are signals, and the column `time` (or `t`) is the time of each row since the stamp [s].
+Without that column, a cloud of one row is at its stamp, and a topic with larger clouds is left out with a reason.
 """
 
 from __future__ import annotations

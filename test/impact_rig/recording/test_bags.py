@@ -102,7 +102,9 @@ def test_info_says_which_checksums_exist(native, tmp_path):
     data = bytearray(guarded.read_bytes())
     data[len(data) // 4] ^= 1
     guarded.write_bytes(data)
-    assert "the checksum of its data section does not match" in info(guarded).verdict
+    verdict = info(guarded).verdict
+    assert "the checksum of its data section does not match" in verdict
+    assert "--accept-unchecked" in verdict
     assert info(native).checksums.complete
 
 

@@ -126,7 +126,7 @@ def test_what_another_user_could_change_is_passed_over(tmp_path, monkeypatch) ->
     monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents))
     assert files.lock_directory().parent == parents[3]
     monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents[:1]))
-    with pytest.raises(PermissionError, match="other users may change"):
+    with pytest.raises(PermissionError, match="must belong to you and be closed to other users"):
         files.lock_directory()
 
 
@@ -137,5 +137,5 @@ def test_a_domain_that_a_process_uses_is_skipped(monkeypatch) -> None:
             participant.bind(("127.0.0.1", processes.FIRST_PORT + processes.PORTS_PER_DOMAIN * taken + 10))
         monkeypatch.setattr(processes, "LAST_DOMAIN", taken)
         assert processes.is_in_use(taken)
-        with pytest.raises(ImpactRigError, match="used by a running process"), processes.isolated_domain():
+        with pytest.raises(ImpactRigError, match="a running program uses each"), processes.isolated_domain():
             pass
