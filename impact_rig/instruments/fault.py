@@ -240,7 +240,8 @@ class FaultBoard:
             CommandError: no such fault has been injected.
         """
         if number is not None and not 0 < number <= self._last_number:
-            raise CommandError(f"no fault number {number}")
+            known = f"1 to {self._last_number}" if self._last_number else "none"
+            raise CommandError(f"no fault number {number}; numbers of faults planned or injected so far: {known}")
         chosen = [active for active in self._faults if number in (None, active.number)]
         for active in chosen:
             active.end = min(active.end, max(scan, active.fault.start_sample))

@@ -163,9 +163,10 @@ def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> 
 
 @kernel
 def frequency_response(system: Record, omega: float, flight: Record) -> None:
-    """Fill `flight.answer` (H) and `flight.growth_answer` (G): the responses to a steady and to a growing drive.
+    """Fill `flight.answer` (H) and `flight.growth_answer` (G) at the angular frequency `omega` [rad/s].
 
-    They are complex amplitudes of the state y per unit of the drive at the angular frequency `omega`, see the module.
+    H is the complex amplitude of the state y per unit of a steady drive. G is what a growing amplitude adds per unit of
+    its growth rate B: see P in the module.
     """
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it

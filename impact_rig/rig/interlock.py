@@ -135,7 +135,8 @@ def travel_and_current(
     """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
 
     `query` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
-    each tick to its end, which is also the start of the next tick.
+    each tick to its end. The start of a tick counts for its travel; for the mean square it counts only in the tick
+    before.
     """
     per_tick = query.tick.shape[0] // found.shape[0]
     for i in range(query.tick.shape[0]):
