@@ -54,9 +54,9 @@ def add_demo(commands: Commands) -> None:
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
         ],
-        "DT is the displacement transmissibility. The last line is the directory of the results. Exit code 0: every "
-        "reduction is within 3 points of the paper and grows with the gap, DT without sphere is as in theory, and no "
-        "block was lost; 1: a check failed, which is named.",
+        "The last line is the directory of the results. Exit code 0: every reduction is within 3 points of the paper "
+        "and grows with the gap, DT without sphere is as in theory, and no block was lost; 1: a check failed, which is "
+        "named.",
     )  # fmt: skip
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
