@@ -42,7 +42,7 @@ def test_a_channel_more_is_no_matter_one_less_was_not_measured_and_none_or_one_t
     assert Calibration.from_info(more).noise.tolist() == Calibration.from_info(rows).noise.tolist()
     assert Calibration.from_info(rows[rows["name"] != b"laser"]).present.tolist() == [True, False, True, True]
     for wrong in (rows[:0], more[:1], np.concatenate([rows, rows])):
-        with pytest.raises(ConfigError, match=r"one row for each of .*laser"):
+        with pytest.raises(ConfigError, match=r"no two of the same channel, of .*laser"):
             Calibration.from_info(wrong)
 
 

@@ -310,7 +310,7 @@ def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
         ({"rate": [1e4, 1e4, 2e4, 1e4]}, "rate must be one positive number"),
         ({"range_low": 1e9}, "range_low must be < range_high"),
         ({"lag_order": 3.0}, "lag_order must be one of 0, 1, 2"),
-        ({"name": b"laser"}, "one row for each of accelerometer, laser, base, current"),
+        ({"name": b"laser"}, "no two of the same channel, of accelerometer, laser, base, current"),
     ],
 )
 def test_a_calibration_that_cannot_be_is_refused_by_name(change, message):

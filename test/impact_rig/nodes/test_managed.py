@@ -183,7 +183,7 @@ def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(cli
         ({"speed_m_s": "fast"}, "speed_m_s must be a number, got 'fast' m/s"),
         ({"count": 2.5}, "count must be an integer, got 2.5"),
         ({"count": True}, "count must be an integer, got True"),
-        ({"rate_hz": 20}, "rate_hz is read-only and can be set at start only (parameter file or -p)"),
+        ({"rate_hz": 20}, "rate_hz is read-only: set it when the node starts (parameter file or -p)"),
         ({"cuont": 4}, "unknown key 'cuont', did you mean 'count'?"),
         ({"speed_m_s": 4.0}, "speed_m_s must be <= count = 3, got 4"),
         ({"speed_m_s": 2.0, "count": 0}, "count must be >= 1, got 0"),

@@ -100,7 +100,7 @@ def test_pause_holds_rig_time(client: Client) -> None:
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.pause(True)
-    client.wait_until(lambda: client.status("rig").message == "paused", "the diagnostic")
+    client.wait_until(lambda: client.status("rig").message == "paused by ~/pause", "the diagnostic")
     before = len(scans)
     client.command(current_a=0.1)  # takes several turns of the executor
     assert len(scans) == before
@@ -146,7 +146,7 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
     before = len(scans)
     client.step(7)
     client.wait_until(lambda: len(scans) >= before + 7, "the blocks of the step")
-    assert "at " in client.step(1)
+    assert client.step(1).startswith("rig time ")
     client.wait_until(lambda: len(scans) >= before + 8, "one more")
     client.command(current_a=0.3)
     assert len(scans) == before + 8, "it stands still again"

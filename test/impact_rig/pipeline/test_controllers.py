@@ -110,7 +110,7 @@ class Bench:
         self.processes.running[name].signal(signal.SIGKILL)
         self.processes.stop(name)
         self.wait(lambda: self.told("end") > ended and self.state("buffered") == 0, f"the end of {name}")
-        self.wait(lambda: "no samples" in self.client.status("rig").message, "the warning")
+        self.wait(lambda: "did not arrive in time" in self.client.status("rig").message, "the warning")
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: 
         recorder = bench.processes.running["recorder"]
         for one in (process, recorder):
             one.signal(signal.SIGSTOP)
-        bench.wait(lambda: "no samples" in bench.client.status("rig").message, "the warning")
+        bench.wait(lambda: "did not arrive in time" in bench.client.status("rig").message, "the warning")
         missing = bench.state("missing")
         bench.wait(lambda: bench.state("missing") > missing + STOPPED_S * 10_000, "three seconds of silence")
         for one in (recorder, process):

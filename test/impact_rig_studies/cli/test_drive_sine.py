@@ -118,7 +118,7 @@ def test_backbone(rig, tmp_path, capsys):
     ("words", "message"),
     [
         (["backbone", "--currents", "0.4", "0.3"], "ascending"),
-        (["lock", "--start", "90"], "start_hz must be within"),
+        (["lock", "--start", "90"], "start_hz must be > 5"),
         (["hold", "base", "60e-6"], "target of base: a length needs its unit"),
         (["hold", "superior", "0mm"], "target of superior: must be > 0 m"),
         (["hold", "current", "60um"], "target of current: the unit must be one of A, mA"),

@@ -145,5 +145,5 @@ def test_a_fixed_value_that_is_another_is_refused(user: Client, tmp_path: Path) 
     text = (tmp_path / "rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(text.replace("rate_hz: 10000\n", "rate_hz: 9999\n"), encoding="utf-8")
     refusals = load(user, name, tmp_path / "rig.yaml")
-    assert refusals == ["daq.rate_hz is read-only and can be set at start only (parameter file or -p)"]
+    assert refusals == ["daq.rate_hz is read-only: set it when the node starts (parameter file or -p)"]
     assert node.refusals.counts["parameter"] == 1

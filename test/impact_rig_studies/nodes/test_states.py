@@ -241,7 +241,7 @@ def test_a_recorder_says_what_it_did_not_get_and_who_wrote_in_anothers_place(cli
     client.step(3)
     wait_for(client, "recorder", "recording")
     recorder._account.take("/daq/scan", 1000)
-    wait_for(client, "recorder", "losing", "of daq/scan")
+    wait_for(client, "recorder", "losing", "on daq/scan")
     intruder(client, topics.JOURNAL)(journal_of_somebody())
     found = wait_for(client, "recorder", "rival", "/intruder and /rig publish rig/journal")
     assert found["other_publishers"] == found["reason"]
