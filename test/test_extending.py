@@ -13,9 +13,8 @@
 # limitations under the License.
 """Recipes of docs/how-to/extending.md, followed to the letter in a copy of the repository: no other file is edited.
 
-They are done one after another in one copy. Then the commands of the page follow, and the tests of what is new and of
-the pages. With `--thorough`, each
-has its own copy, which shows that no recipe needs another one.
+They are done one after another in one copy. Then the commands of the page follow, the tests of the additions and those
+of the pages. With `--thorough`, each recipe has its own copy, which shows that none needs another one.
 """
 
 from __future__ import annotations
@@ -33,28 +32,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
-from tools import recipes
+from tools import doc_paths, recipes
 from tools.generate import ROOT, generated
 
-COPIED = (
-    ".github",
-    "benchmarks",
-    "config",
-    "docs",
-    "examples",
-    "fuzz",
-    "impact_rig",
-    "impact_rig_lab",
-    "impact_rig_studies",
-    "launch",
-    "qualification",
-    "requirements",
-    "resource",
-    "rviz",
-    "test",
-    "tools",
-    "urdf",
-)
 OF_PAGES = (
     "test/test_claims.py",
     "test/test_config_files.py",
@@ -66,7 +46,7 @@ OF_PAGES = (
     "test/test_names.py",
     "test/test_public_face.py",
 )
-"""Tests that compare pages, figures, and the whole source with the code. They are those that an addition may break."""
+"""Tests that compare pages, figures and all sources with the code, which an addition may break."""
 SHORT = "not (slow or heavy or benchmark)"
 DRAWN = re.compile(r"^make figures ARGS=(\S+\.svg)", re.MULTILINE)
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
@@ -169,11 +149,10 @@ class Copy:
 @pytest.fixture
 def copy(tmp_path: Path) -> Copy:
     root = tmp_path / "checkout"
-    for name in COPIED:
-        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for path in ROOT.iterdir():
-        if path.is_file() and not path.name.startswith(".coverage"):
-            shutil.copy(path, root)
+    for name in (*doc_paths.files(), ".github/workflows/ci.yaml"):
+        if not name.startswith(".coverage") and "__pycache__" not in name:
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, root / name)
     return Copy(root)
 
 

@@ -45,7 +45,7 @@ TABLE = ROOT / "test" / "journeys" / "journeys.yaml"
 CLONE, TEST, JAZZY = "clone", "test", "jazzy"
 ENVIRONMENTS = {
     CLONE: "a clone of the repository",
-    TEST: "the test environment, which `make venv` installs",
+    TEST: "`make venv`",
     JAZZY: "a shell in which ROS 2 Jazzy is sourced",
     "wheel": "the installed package",
     "wheel[lab]": "Environment: the installed package with the extra `[lab]`",

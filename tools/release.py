@@ -124,7 +124,7 @@ def _wheel(sdist: Path, directory: Path, machine: str) -> Path:
 
 
 def _headers(folder: Path, machine: str) -> Path:
-    """Write the header that Debian's pyconfig.h includes for another machine: this machine's, also of 64 bits."""
+    """Write the header that Debian's pyconfig.h includes on another 64-bit machine: a reference to this machine's."""
     dispatcher = Path(sysconfig.get_config_h_filename())
     own = dispatcher.parents[1] / str(sysconfig.get_config_var("MULTIARCH")) / dispatcher.parent.name / dispatcher.name
     missing = folder / f"{machine}-linux-gnu" / dispatcher.parent.name / dispatcher.name

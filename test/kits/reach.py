@@ -125,10 +125,7 @@ class Reach:
             elif isinstance(node, ast.Name) and node.id == "impact_rig" and node not in bases:
                 names.add("impact_rig.*")  # for `getattr`
             elif isinstance(node, ast.Import):
-                names |= {
-                    "impact_rig.*" if alias.name == "impact_rig" and alias.asname else alias.name
-                    for alias in node.names
-                }
+                names |= {f"{alias.name}.*" if alias.asname else alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:
                 names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in said:
