@@ -48,6 +48,7 @@ OF_PAGES = (
 )
 """Tests that compare pages, figures and all sources with the code, which an addition may break."""
 SHORT = "not (slow or heavy or benchmark)"
+PROSE = "import sys; from tools.prose_lint import findings; print(*findings(sys.argv[1:]))"
 DRAWN = re.compile(r"^make figures ARGS=(\S+\.svg)", re.MULTILINE)
 GENERATED = {str(path.relative_to(ROOT)) for path in generated()}
 
@@ -150,7 +151,7 @@ class Copy:
 def copy(tmp_path: Path) -> Copy:
     root = tmp_path / "checkout"
     for name in (*doc_paths.files(), ".github/workflows/ci.yaml"):
-        if not name.startswith(".coverage") and "__pycache__" not in name:
+        if name != ".git" and not name.startswith(".coverage") and "__pycache__" not in name:
             (root / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, root / name)
     return Copy(root)
@@ -192,4 +193,4 @@ def test_a_recipe_is_the_whole_change(chosen: tuple[Recipe, ...], copy: Copy):
     copy.run("-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", SHORT, *OF_PAGES)
     copy.run("-m", "ruff", "check", *files)
     copy.run("-m", "ruff", "format", "--check", *files)
-    copy.run("-m", "tools.prose_lint")
+    assert copy.run("-c", PROSE, *(path for path in changed if path.endswith((".py", ".md", ".yaml")))) == "\n"
