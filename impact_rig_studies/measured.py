@@ -50,7 +50,6 @@ STUDY = "measured"
 SAME_HZ, SAME_M = 0.002, 1e-9
 SAME_RATE = 1e-3  # relative difference of two rates, found from times of few digits, that counts as none
 STATED = tuple(name for name in DAQ_INFO.names or () if name not in ("name", "since_start"))
-SETTLED = "settled"
 SHOWN = 3  # largest number of points in the message that no point settled
 
 
@@ -124,13 +123,11 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 def _unsettled(rows: NDArray[np.void]) -> list[str]:
     """Return a text with gap, frequency and last status for each point without a settled measurement."""
-    last: dict[str, str] = {}
-    for row in rows:
-        point = case_of(row["gap"]) + (f" at {row['frequency']:.4g} Hz" if row["frequency"] > 0.0 else "")
-        if last.get(point) != SETTLED:
-            last[point] = SETTLED if row["settled"] == 1.0 else row["status"].decode()
-    unsettled = [f"{point}: {status}" for point, status in last.items() if status != SETTLED]
-    return unsettled if len(rows) else ["nothing was measured"]
+    points = [case_of(gap) + (f" at {hz:.4g} Hz" if hz > 0.0 else "") for gap, hz in rows[["gap", "frequency"]]]
+    settled = {point for point, row in zip(points, rows, strict=True) if row["settled"] == 1.0}
+    last = dict(zip(points, rows["status"].astype(str), strict=True))
+    unsettled = [f"{point}: {status}" for point, status in last.items() if point not in settled]
+    return unsettled if points else ["nothing was measured"]
 
 
 def _known(value: float, known: set[float], same: float) -> float:

@@ -81,10 +81,7 @@ K = TypeVar("K")
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
-"""Way of measuring tasks, such as in processes or on a cluster: a function that yields each task with its rows.
-
-The order is arbitrary.
-"""
+"""Way of measuring tasks, as in processes or on a cluster: it yields each task with its rows, in any order."""
 
 
 @attrs.frozen
@@ -197,9 +194,9 @@ def measure(
 
     Args:
         tasks: jobs or tasks.
-        get: function that returns the stored result of a task, None if it must be measured.
-        put: function that stores a result.
-        runner: function that measures tasks, in any order.
+        get: returns the stored result of a task, None if it must be measured.
+        put: stores a result.
+        runner: measures tasks, in any order.
 
     Raises:
         RecordingError: a result cannot be stored.

@@ -17,7 +17,4 @@ It also shows which constants, or combinations of them, the measurements do not 
 """
 
 U_RESTITUTION = 0.02
-"""Default standard uncertainty with which the nominal coefficient of restitution e is known before a measurement.
-
-Measurements at several gaps determine e better.
-"""
+"""Default standard uncertainty of the nominal coefficient of restitution e before a measurement."""

@@ -49,17 +49,12 @@ from impact_rig_studies.identification.motions import SettledMotion, SettledRig,
 # --- The constants that are identified, as logarithms, and the rig that they make.
 
 NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
-"""Names of the identified constants, whose units are in `UNITS`.
-
-Structure: natural frequency, damping ratio, mass of the superior base. Shaker: force factor, suspension stiffness,
+"""Structure: natural frequency, damping ratio, mass of the superior base. Shaker: force factor, suspension stiffness,
 moving mass (armature and inferior base), damping.
 """
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
 SCALED = ("m_1", "K_f", "k_f", "M", "c_f")
-"""Constants that are masses or forces.
-
-A common factor of all of them changes no motion, unless a sphere of known mass takes part.
-"""
+"""Masses and forces: a common factor of all of them changes no motion, unless a sphere of known mass takes part."""
 SCALE = np.array([float(name in SCALED) for name in NAMES])  # change of the log constants by that factor, per its log
 
 
@@ -77,13 +72,9 @@ def logarithms(config: RigConfig) -> Real:
 
 
 def rig(base: RigConfig, log_constants: Real) -> RigConfig:
-    """Return the configuration `base` with other values of the identified constants.
+    """Return the configuration `base` with other values of the constants, given as logarithms in the order of `NAMES`.
 
     The moving mass M is divided between armature and inferior base in the ratio of `base`.
-
-    Args:
-        base: configuration with all other values.
-        log_constants: logarithms of the constants in the order of `NAMES`.
 
     Raises:
         ConfigError: a constant is out of its range.
@@ -118,7 +109,7 @@ UNTOUCHED = 1e-3
 
 @attrs.frozen(eq=False)
 class Combination:
-    """Combination of parameters that the data determine, or fail to determine, as one: a product of their powers."""
+    """Product of powers of parameters, which the data determine or fail to determine as one."""
 
     powers: Real  # power of each parameter, shape (n,); the largest is 1
     u_relative: float  # relative standard uncertainty of the product; infinite if the data contain nothing on it
@@ -126,13 +117,13 @@ class Combination:
 
     @property
     def determined(self) -> bool:
-        """Return whether the relative standard uncertainty of this combination is at most `DETERMINED`."""
+        """Return whether the data determine this combination."""
         return self.u_relative <= DETERMINED
 
 
 @attrs.frozen(eq=False)
 class Information:
-    """Information of a set of data on parameters: how well it determines each of them, and combinations of them."""
+    """Information of data on parameters: how well they determine each of them, and combinations of them."""
 
     names: tuple[str, ...]  # names of the parameters
     combinations: tuple[Combination, ...]  # uncorrelated combinations, as many as parameters, the best determined first
@@ -140,10 +131,7 @@ class Information:
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether the data determine the parameter `name`.
-
-        They do if its relative standard uncertainty, with all other parameters free, is at most `DETERMINED`.
-        """
+        """Return whether the data determine the parameter `name` with all others free."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 
@@ -201,15 +189,14 @@ SCATTERED = 0.5  # the same if a motion is irregular, as its mean scatters
 RANK = 1e-6
 """Singular value, relative to the largest, below which a direction is not determined: the accuracy of derivatives."""
 UNBOUND = 1.0
-"""Relative standard uncertainty above which the fit hardly changes a constant, because weak data would move it too far.
-"""
+"""Relative standard uncertainty above which the fit hardly changes a constant: weak data would move it too far."""
 LARGEST_STEP = 0.5  # largest change of a logarithm in one step of a fit
 LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Explanation of the data by one of several clearly different sets of constants, all of which fit the data."""
+    """Explanation of the data by one of several clearly different sets of constants that fit them."""
 
     share: float  # probability of this explanation, between 0 and 1
     log_constants: Real  # logarithms of the constants in the order of `NAMES`
@@ -251,10 +238,7 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Return whether the result can be trusted: the fit has converged, and model and data agree.
-
-        They agree if `chance` is at least `SIGNIFICANCE` and no gap is in `contradicted`.
-        """
+        """Return whether the fit has converged, and model and data agree."""
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property
@@ -263,11 +247,11 @@ class Identified:
         return len(self.alternatives) > 1
 
     def value(self, name: str) -> float:
-        """Return the identified value of the constant `name` (one of `NAMES`), in its unit in `UNITS`."""
+        """Return the value of a constant, in its unit in `UNITS`."""
         return float(np.exp(self.log_constants[NAMES.index(name)]))
 
     def u(self, name: str) -> float:
-        """Return the standard uncertainty of the constant `name` (one of `NAMES`), in its unit in `UNITS`."""
+        """Return the standard uncertainty of a constant, in its unit in `UNITS`."""
         return self.value(name) * float(self.information.u_relative[NAMES.index(name)])
 
 
@@ -278,8 +262,7 @@ def identify(
 
     Args:
         measured: the measurements.
-        known: configuration with the known properties: sphere, contact law, nominal e, barriers. Its values of the
-            constants are ignored.
+        known: configuration with the known sphere, contact law, nominal e and barriers; its constants are ignored.
         start: logarithms of the constants at the start of the fit, in the order of `NAMES`.
         on_step: receives a description of each step for the user.
 
@@ -292,7 +275,7 @@ def identify(
             "nothing to identify from: no free decay, no stepped sine without the sphere, no reductions with it; at "
             "least one is needed"
         )
-    theta, nuisance = _begun(measured, start), np.zeros(len(NUISANCES))
+    theta, nuisance = _with_estimates(measured, start), np.zeros(len(NUISANCES))
     converged = False
     for _ in range(ITERATIONS if measured.decay or measured.sine else 0):
         residual, jacobian, bent = _linear(measured, known, theta, nuisance)
@@ -310,11 +293,8 @@ def identify(
     return Identified(theta, found, float(residual @ residual), freedom, rig(known, theta), converged=converged)
 
 
-def _begun(measured: Measured, start: Real) -> Real:
-    """Return the start of a fit, in which estimates from the data replace f_n and ζ.
-
-    The estimates are those of the free decay, or the peak of the stepped sine. Far from them the fit does not converge.
-    """
+def _with_estimates(measured: Measured, start: Real) -> Real:
+    """Return `start` with f_n and ζ of the free decay, or of the stepped sine's peak: far off, no fit converges."""
     theta = start.copy()
     if measured.decay is not None:
         theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
@@ -327,12 +307,8 @@ def _begun(measured: Measured, start: Real) -> Real:
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
 
-    Along directions that the data hardly determine, the step is damped; where they do not at all, it is zero.
-
-    Args:
-        residual: whitened residuals, shape (m,).
-        jacobian: their derivatives by the log constants, shape (m, 7).
-        bent: their derivatives by the nuisance parameters, shape (m, 6).
+    Along directions that the data hardly determine, the step is damped; where they do not at all, it is zero. For the
+    arguments see `_linear`.
     """
     damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
@@ -360,8 +336,7 @@ MOST_E = 60  # maximum number of values of e
 SAME_E, SAME_M = 0.01, 0.01
 GRID = 4001  # number of points at which the profile is interpolated
 SEPARATE, LEAST_PART = 0.1, 0.05
-"""Criteria of separate explanations: density between two of them, as a share of the lower peak; smallest probability.
-"""
+"""Criteria of separate explanations: density between two, as a share of the lower peak; smallest probability."""
 APART = 2.0  # distance, in the sum of both standard uncertainties, above which constants of explanations differ
 
 
@@ -403,15 +378,7 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Return the result of a fit to all measurements, including the reductions with the sphere.
-
-    Args:
-        measured: all measurements, with reductions.
-        known: configuration with the known properties.
-        theta: logarithms of the constants from the data without the sphere.
-        nuisance: nuisance parameters from these data.
-        on_step: receives a description of each step for the user.
-    """
+    """Return the result of `identify` with reductions; `theta` and `nuisance` fit the data without the sphere."""
     profile = _Profile(measured, known)
     on_step("estimating the masses from the motion with the sphere")
     starts = profile.factors(theta)
@@ -437,12 +404,7 @@ def _with_reductions(
 
 
 class _Profile:
-    """Computation of the profile of χ² over e: the best fits of the constants at fixed values of e.
-
-    Args:
-        measured: all measurements, with reductions.
-        known: configuration with the known properties and the nominal e.
-    """
+    """Computation of the profile of χ² over e: the best fits of the constants at fixed values of e."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -454,8 +416,7 @@ class _Profile:
     def factors(self, theta: Real) -> list[Real]:
         """Return starts for the fits: the constants with forces and masses multiplied by a common factor.
 
-        The data without the sphere do not determine this factor. The returned ones, at most `TRIED`, are those with
-        which the simulated motions agree best with the measured ratios of DT.
+        They are those, at most `TRIED`, whose simulated motions agree best with the measured ratios of DT.
         """
         misfits = []
         for factor in FACTORS:
@@ -473,15 +434,7 @@ class _Profile:
         return [theta + FACTORS[i] * SCALE for i in order if misfits[i] <= misfits[order[0]] + WORSE]
 
     def run(self, starts: Sequence[Real], nuisance: Real, on_step: Callable[[str], None]) -> list[_Held]:
-        """Compute the profile: fit the constants at many values of e, more of them near the minima of χ².
-
-        Args:
-            starts: logarithms of the constants from which the fits start.
-            nuisance: nuisance parameters at the start.
-            on_step: receives a description of each step for the user.
-
-        Returns:
-            The best fit at each value of e, ascending; a single one if e is exactly known.
+        """Return the best fit at each of many values of e, ascending; a single one if e is exactly known.
 
         Raises:
             SimulationError: the motions cannot be simulated from any start.
@@ -524,10 +477,7 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add a fit to `held` (by value of e) in the middle of the interval where the probability density changes most.
-
-        Returns whether a fit was added: False if all changes are small enough, or the motion there cannot be simulated.
-        """
+        """Add a fit to `held` where the probability density changes most; return False if none is needed or possible."""
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
         density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)
@@ -554,22 +504,12 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return the rig whose motion at a gap is to be simulated, with the measured current corrected for its gain.
-
-        Args:
-            gap_m: gap, one of those measured.
-            theta: logarithms of the constants.
-            gain: assumed relative error of the measured current (nuisance parameter).
-            e: nominal coefficient of restitution.
-        """
+        """Return the rig at a measured gap, with the measured current corrected for its relative error `gain`."""
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
-        """Fit constants and nuisance parameters to all data at a fixed e, from a start.
-
-        Returns None if a motion on the way cannot be simulated, or the constants are not those of a valid rig.
-        """
+        """Return the fit to all data at a fixed e, from a start; None if a motion on the way cannot be simulated."""
         try:
             here = self._at(e, theta, nuisance)
             for _ in range(ROUNDS):
@@ -588,10 +528,7 @@ class _Profile:
         return here
 
     def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
-        """Simulate all measured gaps, and return the whitened residuals of all data and their derivatives.
-
-        The result is not fitted: it belongs to the given e, constants `theta` and nuisance parameters.
-        """
+        """Simulate all measured gaps, and return the whitened residuals of all data and their derivatives, unfitted."""
         residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
         rows, by_constants, by_nuisances, by_e = [], [], [], []
         motions, widths = {}, 0.0
@@ -645,10 +582,9 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the log constants and, last, e over the profile of fits at fixed e.
+    """Return mean and covariance of the log constants and, last, e over the profile, weighted by probability.
 
-    The mean is weighted by the probability of each e. The third result is all explanations if they differ clearly,
-    otherwise it is empty.
+    The third result is all explanations if they differ clearly, otherwise it is empty.
     """
     e = np.array([one.e for one in held])
     theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
@@ -682,7 +618,7 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether any two of the explanations differ in a constant by more than their uncertainties allow."""
+    """Return whether any two explanations differ in a constant by more than their uncertainties allow."""
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
         for one, other in itertools.combinations(found, 2)
@@ -690,10 +626,7 @@ def _differ(found: Sequence[Alternative]) -> bool:
 
 
 def _parts(density: Real) -> Iterator[slice]:
-    """Yield ranges of indices of a probability density, each with one main peak; together they cover all of it.
-
-    Between the peaks of two neighbouring ranges, the density is far below both peaks (`SEPARATE`).
-    """
+    """Yield adjoining ranges of a probability density, between whose peaks it is far below both (`SEPARATE`)."""
     level = np.log(np.maximum(density, 1e-300))
     peaks = scipy.signal.find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
     cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
@@ -704,15 +637,7 @@ def _parts(density: Real) -> Iterator[slice]:
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
     """Return the whitened residuals of the data without the sphere and of the prior, and their derivatives.
 
-    Args:
-        measured: the measurements.
-        known: configuration with the known properties.
-        theta: logarithms of the constants.
-        nuisance: nuisance parameters.
-
-    Returns:
-        The residuals, shape (m,), and their derivatives by the log constants, shape (m, 7), and by the nuisance
-        parameters, shape (m, 6).
+    The shapes are (m,), (m, 7) for derivatives by the log constants `theta`, (m, 6) by the nuisance parameters.
     """
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
@@ -760,22 +685,13 @@ def _apart(one: Real, other: Real) -> Real:
 
 
 def _prior(measured: Measured) -> Real:
-    """Return the standard uncertainty of each nuisance parameter before the fit, in the order of `NUISANCES`.
-
-    It follows from the calibration certificate, and for "DT without sphere" from its noise.
-    """
+    """Return the standard uncertainty of each nuisance parameter before the fit, from certificate and noise."""
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])
 
 
 def _model(known: RigConfig, theta: Real, frequency_hz: Real) -> Real:
-    """Return ln DT, ln |X_b / I| [m/A] and the phase of X_1 / X_b of the rig without its sphere, shape (3, n).
-
-    Args:
-        known: configuration with the known properties.
-        theta: logarithms of the constants.
-        frequency_hz: frequencies, shape (n,).
-    """
+    """Return ln DT, ln |X_b / I| [m/A] and the phase of X_1 / X_b of the rig without its sphere, shape (3, n)."""
     config = rig(known, theta)
     ratio = transmissibility(config, frequency_hz)
     return np.stack([np.log(np.abs(ratio)), np.log(np.abs(base_per_ampere(config, frequency_hz))), np.angle(ratio)])

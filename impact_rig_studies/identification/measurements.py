@@ -14,9 +14,8 @@
 """Measurements in the form in which `fit.identify` uses them: with noise separated from errors of calibration.
 
 Errors of calibration are common to all points: one gain and one nonlinearity (curve) per sensor
-(`analysis.calibration`). The fit treats them as nuisance parameters (unknowns of no interest) whose standard
-uncertainties before the measurement are those of the calibration certificate. The remaining deviation of each point is
-noise.
+(`analysis.calibration`). They become nuisance parameters (unknowns of no interest) with the standard uncertainties of
+the certificate. The remaining deviation of each point is noise.
 """
 
 from __future__ import annotations
@@ -50,19 +49,16 @@ from impact_rig_studies.reduction import repeatability
 LEAST_NOISE = 1e-4  # smallest relative standard uncertainty by noise that is assumed, even if the scatter is smaller
 CALIBRATION = ("gain laser", "gain base", "gain current", "curve laser", "curve base")
 NUISANCES = (*CALIBRATION, "DT without sphere")
-"""Names of the nuisance parameters: relative errors that several measured values share.
+"""Nuisance parameters: relative errors that several measured values share.
 
-"DT without sphere" is the error by noise of the measurement without the sphere, to which all reductions refer.
+"DT without sphere" is the error by noise of the measurement to which all reductions refer.
 """
 GAIN_CURRENT = NUISANCES.index("gain current")
 
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Measured points of a stepped sine without the sphere: arrays of shape (n,), with standard uncertainties by noise.
-
-    x_1 is the displacement of the superior base, x_b that of the inferior base.
-    """
+    """Stepped sine without the sphere: arrays of shape (n,). x_1 is the superior base, x_b the inferior one."""
 
     frequency_hz: Real  # drive frequency of each point
     dt: Real  # transmissibility |X_1 / X_b|
@@ -70,8 +66,8 @@ class SineData:
     base_per_a: Real  # amplitude of x_b over amplitude of the current [m/A]
     laser_m: Real  # amplitude of x_1, peak [m]
     base_m: Real  # amplitude of x_b, peak [m]
-    u_amplitude: Real  # relative standard uncertainty of dt and base_per_a
-    u_phase: Real  # standard uncertainty of phase_rad [rad]
+    u_amplitude: Real  # relative standard uncertainty of dt and base_per_a, by noise alone
+    u_phase: Real  # standard uncertainty of phase_rad [rad], by noise alone
 
 
 @attrs.frozen(eq=False)
@@ -89,10 +85,9 @@ class Reduced:
     The effect of the gain of the current is left out, because it acts through the simulated motion.
     """
     regimes: Mapping[float, str]
-    """Measured regime of the motion with the sphere, by gap [m].
+    """Measured regime of the motion with the sphere, by gap [m]; `unknown` if impacts were not counted.
 
-    It is `unknown` if impacts were not counted: a light sphere can strike irregularly at a constant amplitude of the
-    base.
+    A light sphere can strike irregularly at a constant amplitude of the base.
     """
 
 
@@ -142,11 +137,9 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return the points of a frequency curve without the sphere in the form that the fit uses.
+    """Return a frequency curve without the sphere, from the first measurement of each point.
 
-    Args:
-        points: measured points, each with at least one settled measurement, of which the first is used.
-        gains: calibration errors, whose contribution is removed from the uncertainties.
+    The contribution of `gains` is removed from the uncertainties.
     """
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])
@@ -163,19 +156,11 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios of DT with the sphere to DT without it at one frequency, in the form that the fit uses.
+    """Return the ratios of DT with the sphere to DT without it, at one frequency and those gaps that are measured.
 
     Points at which the sphere did not strike are left out, as they contain no information on it. If impacts were not
-    counted, for lack of an accelerometer, the point is used.
-
-    Args:
-        curves: measured curves.
-        frequency_hz: frequency of the drive.
-        gaps_m: gaps to use, as far as they are measured [m].
-        gains: calibration errors of the sensors.
-
-    Returns:
-        None if the point without the sphere, or all points with it, are missing.
+    counted, for lack of an accelerometer, the point is used. None means that no point without the sphere, or none with
+    it, was measured.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -232,12 +217,7 @@ SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Measure natural frequency and damping ratio of a simulated rig: pluck it without its sphere, and fit the decay.
-
-    Args:
-        config: configuration of the rig, whose sphere is removed.
-        method: method that evaluates the decay.
-    """
+    """Measure natural frequency and damping ratio of a simulated rig by a pluck without its sphere."""
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
     rig.core.pluck(DISPLACEMENT_M)
@@ -250,10 +230,6 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
 
     The record of the decay ends at a reset or at missing scans. A measurement of an external rig has no journal of
     plucks: its decay begins at the largest distance of the superior base from its final position.
-
-    Args:
-        run: the run.
-        method: method that evaluates the decay.
 
     Raises:
         RecordingError: the run contains no pluck, or no scans after it.

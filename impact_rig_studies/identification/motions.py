@@ -59,14 +59,7 @@ class SettledMotion(NamedTuple):
 
 
 def place_of(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Place:
-    """Return a point of parameter space: a rig with its sphere, a gap, and a sine of current as its drive.
-
-    Args:
-        config: configuration with all other values.
-        gap_m: gap between the walls.
-        frequency_hz: frequency of the drive.
-        current_a: amplitude of the current [A peak].
-    """
+    """Return the rig with its sphere at a gap, driven by a sine of current [A peak]."""
     own = {"sphere.present": True, "barriers.gap_m": gap_m, "drive.kind": CURRENT_DRIVE}
     return Place(from_flat(config, own), frequency_hz, current_a)
 
@@ -87,13 +80,6 @@ def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: f
 
 class SettledRig:
     """Simulated rig with its sphere whose motion has settled, and from which derivatives can be computed.
-
-    Args:
-        place: the rig and its drive.
-
-    Attributes:
-        place: the rig and its drive.
-        motion: the settled motion.
 
     Raises:
         SimulationError: the motion cannot be simulated.
@@ -167,10 +153,7 @@ _STEP = 1e-6
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of a closed form `of` by `count` parameters at `place`, shape (count,).
-
-    `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
-    """
+    """Return the derivatives of a closed form `of` by `count` parameters at `place`, shape (count,)."""
     here = of(place)
     return np.array([(of(neighbour(i, _STEP)) - here) / _STEP for i in range(count)])
 

@@ -51,16 +51,13 @@ MOST_SCALARS = 100
 
 @attrs.define
 class _Axis:
-    """Abscissa that the columns of a table define, before it is combined with a stated rate.
-
-    `values` are in seconds for times; `start_ns` is the stamp of the first row, None if it is unknown.
-    """
+    """Abscissa that the columns of a table define, before it is combined with a stated rate."""
 
     kind: AbscissaKind = AbscissaKind.NONE
     name: str = ""
     unit: str = ""
-    values: Real | None = None  # shape (n,)
-    start_ns: int | None = None
+    values: Real | None = None  # times in seconds, shape (n,)
+    start_ns: int | None = None  # stamp of the first row
     note: str = ""
     is_clock: bool = False
 
@@ -85,7 +82,7 @@ def signals_of(
         file_format: name of the format for messages.
         columns: columns by heading, shape (n,) or (n, k); a rate or a period has a single value.
         column_units: units by heading, if they are not part of it.
-        rate_hz: rate that the file states outside the columns; None if it states none.
+        rate_hz: rate that the file states outside the columns.
         remarks: assumptions of the reader.
         left_out: parts that the reader has left out.
         rate_note: assumption about `rate_hz`, or the reason why it is None.
@@ -165,8 +162,7 @@ def signals_of(
                 np.ascontiguousarray(row, np.float64), column_units.get(heading, "") or unit, abscissa, kind,
                 f"column {place}" if len(rows) == 1 else f"{heading}, row {number}",
             )  # fmt: skip
-    said = tuple(filter(None, (*remarks, abscissa.note)))
-    return ImportedSignals(path, file_format, signals, axis.start_ns, texts, omitted, said)
+    return ImportedSignals(path, file_format, signals, axis.start_ns, texts, omitted, remarks)
 
 
 def _axis(

@@ -90,7 +90,7 @@ def convert(
     used: dict[str, Channel] = {}
     si_units: dict[str, str] = {}
     steps: dict[str, float] = {}
-    doubts = list(source.remarks)
+    doubts: list[str] = []
     for name in CHANNELS:
         if name not in mapping.channels:
             continue
@@ -98,13 +98,9 @@ def convert(
         signal = source.signals.get(one.column)
         if signal is None:
             there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
+            hint = did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
             if one.column in source.left_out:
-                there = f"it is left out, {source.left_out[one.column]}"
-            hint = (
-                there
-                if one.column in source.left_out
-                else did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
-            )
+                hint = f"it is left out, {source.left_out[one.column]}"
             raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
         one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
         factor, si_units[name] = one.to_si(name)
@@ -115,6 +111,7 @@ def convert(
         doubts += _unit_doubts(name, one, si_units[name])
     mapping = attrs.evolve(mapping, channels=used)
     signals = {name: source.signals[one.column] for name, one in used.items()}
+    doubts = [*source.remarks, *(one.abscissa.note for one in signals.values()), *doubts]
     if mapping.resample_hz is not None and _differ(signals):
         abscissa, found = aligned(source.path, {name: one.abscissa for name, one in signals.items()}, found)
         count, skews = len(next(iter(found.values()))), dict.fromkeys(found, 0.0)
@@ -130,12 +127,7 @@ def convert(
     rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
     info, estimated = _calibration(mapping, si_units, rate, sheet, steps, skews)
     start_ns = source.start_ns or 0
-    if (
-        sheet is not None
-        and "since_start" in sheet.signals
-        and sheet.start_ns is not None
-        and source.start_ns is not None
-    ):
+    if sheet and "since_start" in sheet.signals and sheet.start_ns is not None and source.start_ns is not None:
         start_ns = sheet.start_ns - round(float(sheet.signals["since_start"].values[0]) * NS_PER_S)
         index = index + round((source.start_ns - start_ns) * rate / NS_PER_S)
     rows = _scans(found, si_units, info)
@@ -146,8 +138,8 @@ def convert(
     if not commands:
         commands = ((start_ns, measured_hz, math.nan),)
     is_stated = any(math.isfinite(amplitude) for _, _, amplitude in commands)
-    amplitude_of = "" if is_stated else next(name for name in ("current", *REFERENCES) if name in found)
-    commands = tuple(_with_amplitude(commands, found, instants))
+    driver = next(name for name in ("current", *REFERENCES) if name in found)
+    commands = tuple(_with_amplitude(commands, found[driver], instants))
     labels = list(mapping.notes)
     if "gap" in followed:
         gaps = followed["gap"]
@@ -165,14 +157,14 @@ def convert(
         commands,
         tuple(labels),
         estimated,
-        tuple(dict.fromkeys(doubts + guesses)),
-        f"{si_units[amplitude_of]} of {amplitude_of}" if amplitude_of else "A",
+        tuple(dict.fromkeys(filter(None, doubts + guesses))),
+        "A" if is_stated else f"{si_units[driver]} of {driver}",
     )
 
 
 def _unassigned(source: ImportedSignals) -> str:
-    known = ", ".join(f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
-    known = known or "none of numbers"
+    names = (f"{name} [{one.unit}]" if one.unit else name for name, one in source.signals.items())
+    known = ", ".join(names) or "none of numbers"
     example = next(iter(source.signals), "NAME")
     strange = {name: one for name, one in source.signals.items() if one.kind is not SignalKind.TIME_RESPONSE}
     if strange and len(strange) == len(source.signals):
@@ -191,12 +183,8 @@ def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
     said = f'--channel {name}="{one.column} {OTHER_UNIT[si_unit]}" states another'
     if not one.unit and not one.sensitivity:
         return [f"no unit is given for {one.column}: {si_unit} is assumed; {said}"]
-    doubt = units.doubt(one.unit) if not one.sensitivity else units.doubt(one.sensitivity.rpartition("/")[2])
-    return (
-        [f"unit {one.unit if not one.sensitivity else one.sensitivity!r} of {one.column} was read as {doubt}"]
-        if doubt
-        else []
-    )
+    doubt = units.doubt(one.sensitivity.rpartition("/")[2] if one.sensitivity else one.unit)
+    return [f"unit {one.sensitivity or one.unit!r} of {one.column} was read as {doubt}"] if doubt else []
 
 
 def _differ(signals: AnyMapping[str, Signal]) -> bool:
@@ -291,8 +279,8 @@ def _calibration(
 ) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
     """Return rows of `daq/info` for the channels, and by channel the columns that were estimated from the data.
 
-    The table of calibration (`sheet`) and the mapping state properties; the mapping takes precedence. Resolution, skew
-    and rate that neither states are estimated from readings and times. Other properties are exact or without limit.
+    The mapping takes precedence over the table of calibration (`sheet`). Resolution, skew and rate that neither states
+    are estimated from readings and times. Other properties are exact or without limit.
     """
     given_rate = mapping.rate_hz is not None or mapping.resample_hz is not None
     estimated: dict[str, tuple[str, ...]] = {}
@@ -322,12 +310,8 @@ def _calibration(
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
     """Compare frequency and gap guessed from the file name with the data; return the mapping, and texts for the user.
 
-    A guessed frequency that contradicts a clear sine is replaced by that of the sine.
-
-    Args:
-        mapping: mapping with the guesses.
-        measured_hz: frequency of the sine in the data, 0 if there is no clear one.
-        seconds: length of the record.
+    A frequency that contradicts the sine in the data (`measured_hz`, 0 if none is clear) is replaced by that of the
+    sine. `seconds` is the length of the record.
     """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
@@ -340,10 +324,10 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Ma
             )
             mapping = attrs.evolve(mapping, frequency=measured_hz)
         else:
-            agree = f"which agree within {within:.2g} Hz"
-            data = f"the data show {measured_hz:.5g} Hz, {agree}" if measured_hz > 0 else "the data have no clear sine"
+            shown = f"show {measured_hz:.5g} Hz, which agree within {within:.2g} Hz"
             said.append(
-                f"drive frequency {named:g} Hz, guessed from the file name; {data}; state another with --frequency HZ"
+                f"drive frequency {named:g} Hz, guessed from the file name; the data "
+                f"{shown if measured_hz > 0.0 else 'have no clear sine'}; state another with --frequency HZ"
             )
     if "gap" in mapping.guessed and isinstance(mapping.gap, float):
         gap = f"{mapping.gap * 1e3:g} mm" if mapping.gap else "none (no sphere)"
@@ -358,10 +342,9 @@ def _commands(
     followed: Real | None,
     instants: _Instants,
 ) -> tuple[tuple[int, float, float], ...]:
-    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown).
+    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
 
-    They are those of the table `drive`, or else of the frequency signal `followed`, or the single frequency of the
-    mapping; empty if none is known.
+    They are those of the table `drive`, or else of the frequency signal `followed`, or the mapping's single frequency.
     """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
@@ -390,13 +373,9 @@ def _changes(values: Real) -> list[int]:
 
 
 def _with_amplitude(
-    commands: Sequence[tuple[int, float, float]], found: AnyMapping[str, Real], instants: _Instants
+    commands: Sequence[tuple[int, float, float]], values: Real, instants: _Instants
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the drive commands; a missing amplitude is √2 times the rms of the current, or else of the base.
-
-    The rms is that of the scans to which the command applies.
-    """
-    values = found[next(name for name in ("current", *REFERENCES) if name in found)]
+    """Yield the drive commands; a missing amplitude is √2 times the rms of the `values` under the command."""
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
         part = values[instants.first_at(instant) : instants.first_at(end)]
@@ -420,9 +399,8 @@ def _frequency_of(
     """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
     It is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest part without a
-    missing value. Lines are compared as
-    displacements, which raises the noise of an accelerometer at low frequencies: only lines above the noise around them
-    count. A clear sine has more power than the rest of the signal.
+    missing value. Lines are compared as displacements, which raises the noise of an accelerometer at low frequencies:
+    only lines above the noise around them count. A clear sine has more power than the rest of the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

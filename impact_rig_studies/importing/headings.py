@@ -28,10 +28,9 @@ STAMP = "stamp_ns"  # column of integers; `time` counts from it
 TIME_NAMES = frozenset({
     "time", "times", "t", "zeit", "temps", "tiempo", "tempo", "abscissa", "timedomain", "timestamp", "timestamps",
     "elapsed", "elapsedtime", "reltime", "relativetime", "relativezeit", "messzeit", "xvalue", "datetime", "date",
-    "datum",
-    "uhrzeit", "zeitstempel", "seconds", "second", "sekunden", "secs", "sec", "milliseconds", "msec", "microseconds",
-    "usec", "millis", "micros",
-    "dateandtime", "timeofday", "timeaxis", "timevector", "tim", "datumuhrzeit", "datetimestamp", "tout", "время",
+    "datum", "uhrzeit", "zeitstempel", "seconds", "second", "sekunden", "secs", "sec", "milliseconds", "msec",
+    "microseconds", "usec", "millis", "micros", "dateandtime", "timeofday", "timeaxis", "timevector", "tim",
+    "datumuhrzeit", "datetimestamp", "tout", "время",
 })  # fmt: skip
 """Names of columns that contain times, in lower case, letters only."""
 DATE_NAMES = frozenset(
@@ -68,7 +67,7 @@ MILLISECONDS = frozenset({"millisecond", "milliseconds", "millis", "msec", "ms",
 
 
 def bare(name: str) -> str:
-    """Return the letters of a name in lower case, without digits, blanks and signs, for comparison with known names."""
+    """Return only the letters of a name, in lower case, for comparison with known names."""
     return _NOT_LETTERS.sub("", name[:80].lower())
 
 
@@ -135,7 +134,7 @@ def split_unit(heading: str) -> tuple[str, str]:
 
 
 def _bracketed(text: str) -> tuple[str, str]:
-    """Return the name of a heading and the unit in brackets at its end; without brackets the unit is empty."""
+    """Return the name of a heading and the unit in brackets at its end, empty without brackets."""
     if not text.endswith(("]", ")")):
         return text, ""
     opened, closed = ("[", "]") if text.endswith("]") else ("(", ")")
@@ -197,57 +196,52 @@ SAME_RATE = 0.05  # largest relative difference of two statements of one rate, o
 
 
 class StatedRate(NamedTuple):
-    """Sampling rate that lines around a table state, and a note about it for the user."""
+    """Sampling rate that lines around a table state."""
 
     hz: float | None = None  # None if no rate is stated, or several are
-    note: str = ""
+    note: str = ""  # assumption about it, or the several rates, for the user
 
 
 def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None = None) -> StatedRate:
     """Return the sampling rate that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
     The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
-    a unit, the name does.
-
-    Args:
-        lines: lines before and after the table.
-        decimal: decimal sign of the table, which `1,000` does not tell.
-        delimiter: character between the cells of the table; `Sample rate,125,125` has two numbers if it is a comma.
+    a unit, the name does. Decimal sign and delimiter are those of the table.
     """
     texts = (_REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300])) for line in lines)
     matches = itertools.islice((match for text in texts for match in _STATED.finditer(text)), MOST_STATED)
     found = [one for match in matches if (one := _rate_of(match, decimal, delimiter))]
-    if not found or found[0].hz is None:
+    if not found:
         return StatedRate()
-    first = found[0].hz
-    if any(abs((one.hz or 0.0) / first - 1.0) > SAME_RATE for one in found):
-        rates = ", ".join(dict.fromkeys(f"{one.hz:.6g} Hz" for one in found))
+    if any(abs(hz / found[0][0] - 1.0) > SAME_RATE for hz, _ in found):
+        rates = ", ".join(dict.fromkeys(f"{hz:.6g} Hz" for hz, _ in found))
         return StatedRate(None, f"it states several: {rates[:100]}")
-    return found[0]
+    return StatedRate(*found[0])
 
 
-def _rate_of(match: re.Match[str], decimal: str, delimiter: str | None) -> StatedRate | None:
-    """Return the rate in a match of `_STATED`; None if it is that of something else, as in `feed rate: 5 mm/s`."""
-    between = match["between"] + (match["after"] or "")
-    behind = _SAMPLES_PER_MINUTE.sub("1/min", _SAMPLES.sub(r"\1Hz", match["unit"] or ""))
-    before = _SAMPLES.sub(r"\1Hz", match[0][: match.start("number") - match.start()].rstrip(' \t:=;,"'))
-    for word in _WORD.findall(_SAMPLES.sub(r"\1Hz", between)):
-        if word.lower() not in _BETWEEN and quantity(word) not in ("Hz", "s"):
-            return None
+def _in_hz(text: str) -> str:
+    """Return a text with units such as `kS/s` or `samples/min` as kHz or 1/min."""
+    return _SAMPLES_PER_MINUTE.sub("1/min", _SAMPLES.sub(r"\1Hz", text))
+
+
+def _rate_of(match: re.Match[str], decimal: str, delimiter: str | None) -> tuple[float, str] | None:
+    """Return rate [Hz] and note of a match of `_STATED`; None if it is another rate, as in `feed rate: 5 mm/s`."""
+    between, behind = (_in_hz(text) for text in (match["between"] + (match["after"] or ""), match["unit"] or ""))
+    if any(word.lower() not in _BETWEEN and quantity(word) not in ("Hz", "s") for word in _WORD.findall(between)):
+        return None
     if quantity(behind) is None and ("/" in behind or behind.lower() == "per"):
         return None
+    before = _in_hz(match[0][: match.start("number") - match.start()]).rstrip(' \t:=;,"')
     units = (behind, split_unit(before)[1], "s" if match["step"] else "Hz")
     unit, kind = next((text, found) for text in units if (found := quantity(text)))
     text = match["number"]
-    if delimiter == "," and between.rstrip().endswith(","):
+    if delimiter == "," and between.rstrip().endswith(","):  # `Sample rate,125,125` has two numbers
         text = text.partition(",")[0]
     text = text.rstrip(".,")
-    value = number(text, decimal)
-    if value is None:
-        value = number(text, "," if decimal == "." else ".")
-    if kind not in ("Hz", "s") or value is None or not value > 0.0:
+    value = next((one for sign in (decimal, ".", ",") if (one := number(text, sign)) is not None), 0.0)
+    if kind not in ("Hz", "s") or not value > 0.0:
         return None
     value *= unit_factor(unit, kind) or math.nan
     hz = 1.0 / value if kind == "s" else value
     note = f"the rate was read as {hz:g} Hz from {match[0].strip()!r}" if is_unclear(text) else ""
-    return StatedRate(hz, note) if 0.0 < hz < 1e9 else None
+    return (hz, note) if 0.0 < hz < 1e9 else None

@@ -133,7 +133,7 @@ def uniform(
     Args:
         path: the file, for messages.
         abscissa: times or rate in the file.
-        mapping: its rate takes precedence over the file's times; its `resample_hz` requests another rate.
+        mapping: its rate takes precedence over the file's times.
         found: values by channel, shape (n,) each.
         followed: signals that give frequency or gap, shape (n,) each.
 
@@ -166,10 +166,7 @@ def uniform(
 
 
 def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
-    """Return (listed times [s], None), or (None, rate [Hz]) if a rate is stated that the times do not contradict.
-
-    A rate that the mapping states counts even if the times contradict it.
-    """
+    """Return (listed times [s], None), or (None, rate [Hz]): the mapping's, or the file's if its times agree."""
     if mapping.rate_hz is not None:
         if not 0.0 < mapping.rate_hz <= MOST_HZ:
             raise ConfigError(f"rate_hz must be > 0 and <= {MOST_HZ:g}, got {mapping.rate_hz:g}")
@@ -203,10 +200,8 @@ def _explained(abscissa: Abscissa) -> str:
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
     """Return the scan rate [Hz] of listed times [s], and the number of each scan, with gaps for missing ones.
 
-    `resampled` means that the times need not be uniform.
-
     Raises:
-        ConfigError: the times do not increase, or are not uniform although they must be.
+        ConfigError: the times do not increase, or are not uniform and not to be resampled.
     """
     count = len(times)
     if count < 2 or not np.all(np.isfinite(times)):
@@ -237,18 +232,14 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
     if np.any(np.diff(index) < 1) or float(off.max()) > EVEN + digit * rate:
         scan = int(np.argmax(off))
         raise ConfigError(
-            f"{path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} "
-            f"scans per second; "
-            "resample it (--resample HZ), or give its rate (--scan-rate HZ) if the times are not to be believed"
+            f"{path}: not uniform in time: value {scan + 1} is {off[scan]:.2f} of a period off {rate:.7g} scans per "
+            "second; resample it (--resample HZ), or give its rate (--scan-rate HZ) if the times are not to be believed"
         )
     return rate, index
 
 
 def _without_holes(times: Real, rate: float, digit: float) -> float:
-    """Return the scan rate of the longest stretch of times in which no scan is missing.
-
-    `rate` is a first guess, and `digit` the last digit of the times [s].
-    """
+    """Return the scan rate of the longest stretch of times without a missing scan; `rate` is a first guess."""
     holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
     cuts = [0, *holes.tolist(), len(times)]
     begin, end = max(itertools.pairwise(cuts), key=lambda cut: cut[1] - cut[0])
@@ -266,10 +257,7 @@ def _mostly_equal(steps: Real) -> bool:
 
 
 def last_digit(times: Real) -> float:
-    """Return the value of the last decimal digit with which times are written [s], such as 0.001.
-
-    Times with more than `DECIMALS` decimals are taken as single precision: the result is the spacing of these.
-    """
+    """Return the value of the last decimal digit of times [s], such as 0.001; above `DECIMALS` decimals, float32's."""
     for decimals in range(DECIMALS + 1):
         scaled = times * 10.0**decimals
         noise = 8.0 * float(np.spacing(np.abs(scaled).max()))
@@ -284,15 +272,7 @@ def _resampled(
     """Return signals at the requested rate, by interpolation; a lower rate than the file's would alias.
 
     Signals in `followed` keep their value until the next one. Nothing is interpolated where scans are missing: each
-    stretch between two holes has its own spline.
-
-    Args:
-        path: the file, for messages.
-        times: times of the values since the first [s], shape (n,).
-        found: values by channel.
-        followed: signals that give frequency or gap.
-        exact: scan rate of the file [Hz].
-        rate: requested scan rate [Hz].
+    stretch between two holes has its own spline. `exact` is the scan rate of the file [Hz], `rate` the requested one.
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(

@@ -153,6 +153,9 @@ def rows_of(head: str, separator: str = ",") -> str:
         ("time,x,y\nsec.,in.,M/S2", ["x", "y"], ["in.", "M/S2"]),
         ("time,base,laser\n---,---,---", ["base", "laser"], ["", ""]),
         ("Time  1 - default sample rate [s],x,acc [g]", ["x", "acc"], ["", "g"]),
+        ("x-axis,1,2\nsecond,Volt,Volt", ["1", "2"], ["Volt", "Volt"]),
+        ("in s,CH1 in V,CH2 in V", ["CH1", "CH2"], ["V", "V"]),
+        ("Time (s) Run #1,base (mm) Run #1,laser (mm) Run #1", ["base Run #1", "laser Run #1"], ["mm", "mm"]),
     ],
 )
 def test_headings_and_units(head: str, names: list[str], units: list[str]) -> None:
@@ -289,6 +292,7 @@ def test_a_table_without_headings_keeps_its_first_row() -> None:
         ("Sampling rate Ch1-2: 125 Hz\nbase,laser,x", 125.0), ("Frame rate: 30\nfs: 125\nbase,laser,x", 125.0),
         ("Sample rate (max 1000 Hz): 125 Hz\nbase,laser,x", 125.0), ("Sampling rate (1/s): 125\nbase,laser,x", 125.0),
         ("Sample rate: 7500 1/min\nbase,laser,x", 125.0), ("Sample rate: 7500 samples/min\nbase,laser,x", 125.0),
+        ("Sample rate (samples/min): 7500\nbase,laser,x", 125.0),
         ("Baud rate: 115200\nSample rate: 125 Hz\nbase,laser,x", 125.0),
         ("Sample time: 10:23:11\nSample rate: 125 Hz\nbase,laser,x", 125.0),
         ("Sample rate: 51200 Hz\nSample interval: 1.95e-5 s\nbase,laser,x", 51200.0),
@@ -304,24 +308,20 @@ def test_a_stated_rate_has_the_decimal_sign_of_the_table(stated: str, rate_hz: f
     rows = rows_of("base [mm];laser [mm];x", ";").replace(".", ",")
     found = text_table(f"Abtastrate: {stated}\n{rows}")
     assert found.signals["base"].rate_hz == pytest.approx(rate_hz)
-    assert bool(found.remarks) == (stated == "2.000 Hz")
+    assert bool(found.signals["base"].abscissa.note) == (stated == "2.000 Hz")
 
 
 @pytest.mark.parametrize(
-    "line", ["Sample rate divider: 4", "Sampling rate index: 3", "Baud rate: 115200", "Drop rate: 0.1"]
-)
-def test_a_number_of_something_else_is_no_rate(line: str) -> None:
-    assert text_table(rows_of(f"{line}\nbase,laser,x")).signals["base"].rate_hz is None
-
-
-def test_several_rates_are_none_and_the_reason() -> None:
-    found = text_table(rows_of("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz\nbase,laser,x"))
-    assert str(found.signals["base"].abscissa) == "no times and no rate"
-    assert found.signals["base"].abscissa.note == "it states several: 51200 Hz, 125 Hz"
-
-
-def groups(value: float, sign: str) -> str:
-    return f"{value:,.0f}".replace(",", sign)
+    ("head", "note"),
+    [
+        ("Sample rate divider: 4", ""), ("Sampling rate index: 3", ""), ("Baud rate: 115200", ""),
+        ("Drop rate: 0.1", ""), ("feed rate: 5 mm/s", ""),
+        ("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz", "it states several: 51200 Hz, 125 Hz"),
+    ],
+)  # fmt: skip
+def test_no_single_rate_above_a_table(head: str, note: str) -> None:
+    one = text_table(rows_of(f"{head}\nbase,laser,x")).signals["base"]
+    assert (one.rate_hz, one.abscissa.note) == (None, note)
 
 
 @pytest.mark.parametrize(("separator", "sign"), [("\t", ","), (";", ","), (";", "."), ("\t", "."), (";", " ")])
@@ -333,7 +333,9 @@ def test_whole_numbers_with_groups_of_digits(separator: str, sign: str, seconds:
         times = [seconds.format(1e3 * t if seconds == "{:.0f}" else t) for t in TIME_S]
         times = [t.replace(".", ",") if sign == "." else t for t in times]
         unit = "ms" if seconds == "{:.0f}" else "s"
-        rows = (separator.join((t, groups(v, sign), f"{v:.0f}")) for t, v in zip(times, whole, strict=True))
+        rows = (
+            separator.join((t, f"{v:,.0f}".replace(",", sign), f"{v:.0f}")) for t, v in zip(times, whole, strict=True)
+        )
         found = text_table("\n".join([separator.join((f"time [{unit}]", "base [nm]", "x [nm]")), *rows]))
         assert found.signals["base"].values.tolist() == whole.tolist()
         assert found.signals["x"].values.tolist() == whole.tolist()
@@ -348,21 +350,6 @@ def test_a_column_that_is_added_later_is_the_reason() -> None:
     }
     with pytest.raises(ImpactRigError, match=r"that has the form of its line \d+: '.*,0\.5'"):
         text_table("\n".join([head, *(200 * lines[:1]), *(10 * later)]))
-
-
-@pytest.mark.parametrize(
-    ("head", "names", "units"),
-    [
-        ("x-axis,1,2\nsecond,Volt,Volt", ["1", "2"], ["Volt", "Volt"]),
-        ("in s,CH1 in V,CH2 in V", ["CH1", "CH2"], ["V", "V"]),
-        ("Time (s) Run #1,base (mm) Run #1,laser (mm) Run #1", ["base Run #1", "laser Run #1"], ["mm", "mm"]),
-    ],
-)
-def test_headings_of_oscilloscopes_and_loggers(head: str, names: list[str], units: list[str]) -> None:
-    found = text_table(rows_of(head))
-    assert list(found.signals) == names
-    assert [one.unit for one in found.signals.values()] == units
-    assert since_start(found) == pytest.approx(TIME_S)
 
 
 def test_separate_columns_of_date_and_time_are_one() -> None:
@@ -642,27 +629,23 @@ def test_tdms_channels_that_start_at_different_times_are_not_taken_for_simultane
         convert(found, guess(found))
 
 
-@pytest.mark.parametrize("has_times", [False, True])
-def test_a_tdms_increment_of_1_is_no_rate_that_other_parts_contradict(tmp_path: Path, has_times: bool) -> None:
+@pytest.mark.parametrize(
+    ("others", "stated", "rate_hz", "note"),
+    [
+        ({}, {}, 1.0, "wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate"),
+        ({}, {"Sample Rate": 125.0}, None, "it states several: 1 Hz (wf_increment), 125 Hz"),
+        ({"Time": (TIME_S, {"wf_increment": 1.0, "unit_string": "s"})}, {}, None, ""),
+    ],
+)
+def test_a_tdms_increment_of_1_is_a_doubtful_rate(
+    tmp_path: Path, others: dict[str, Any], stated: dict[str, Any], rate_hz: float | None, note: str
+) -> None:
     """Programs write `wf_increment` 1 for a waveform without a time step."""
-    about = {"wf_increment": 1.0, "unit_string": "mm"}
-    times = {"Time": (TIME_S, {"wf_increment": 1.0, "unit_string": "s"})} if has_times else {}
-    stated = {} if has_times else {"Sample Rate": 125.0}
-    (tmp_path / "own.tdms").write_bytes(tdms_file({**times, "base": (BASE, {**about, **stated})}))
-    found = readers.read(tmp_path / "own.tdms")
-    if has_times:
-        assert since_start(found) == pytest.approx(TIME_S)
-    else:
-        assert found.signals["base"].rate_hz is None
-        assert found.signals["base"].abscissa.note == "it states several: 1 Hz (wf_increment), 125 Hz"
-
-
-def test_a_tdms_increment_of_1_alone_is_to_be_confirmed(tmp_path: Path) -> None:
-    about = {"wf_increment": 1.0, "unit_string": "mm"}
-    (tmp_path / "own.tdms").write_bytes(tdms_file({"base": (BASE, about), "laser": (LASER, about)}))
-    found = readers.read(tmp_path / "own.tdms")
-    assert found.signals["base"].rate_hz == 1.0
-    assert found.remarks == ("wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate",)
+    about = {"wf_increment": 1.0, "unit_string": "mm", **stated}
+    (tmp_path / "own.tdms").write_bytes(tdms_file({**others, "base": (BASE, about)}))
+    one = readers.read(tmp_path / "own.tdms").signals["base"]
+    assert (one.rate_hz, one.abscissa.note) == (rate_hz, note)
+    assert one.time_s == (pytest.approx(TIME_S) if others else None)
 
 
 def test_a_tdms_channel_of_times(tmp_path: Path) -> None:

@@ -649,13 +649,13 @@ def test_a_campaign_names_each_point_that_never_settled(tmp_path: Path, capsys: 
     files = [str(tmp_path / f"{name}.csv") for name in ("one", "short", "shorter")]
     words = ["--campaign", "--gap", "6mm", "--output", str(tmp_path / "out")]
     assert main(["import", *files[1:], *words]) == 1
-    told = capsys.readouterr().err
-    assert "no file contains a settled measurement: short, gap 6 mm at 9.3 Hz: not_settled; shorter, gap 6 mm" in told
+    error = capsys.readouterr().err
+    assert "no file contains a settled measurement: short, gap 6 mm at 9.3 Hz: not_settled; shorter, gap 6 mm" in error
     assert main(["import", *files, *words]) == 0
-    told = capsys.readouterr().out
-    assert "left out of the campaign: short, gap 6 mm at 9.3 Hz: not_settled" in told
-    assert "left out of the campaign: shorter, gap 6 mm at 9.3 Hz: too_few_cycles" in told
-    assert "left out of the campaign: one" not in told
+    printed = capsys.readouterr().out
+    assert re.findall("left out of the campaign: (.*)", printed) == [
+        "short, gap 6 mm at 9.3 Hz: not_settled", "shorter, gap 6 mm at 9.3 Hz: too_few_cycles",
+    ]  # fmt: skip
     assert [point.frequency_hz for point in open_finished(tmp_path / "out").points] == [9.1]
 
 

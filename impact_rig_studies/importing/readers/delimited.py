@@ -65,8 +65,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a text table, or a LabVIEW measurement file with another suffix.
 
     Raises:
-        RecordingError: no row of numbers is within the first `HEADER_LINES` lines, or a row does not fit the first one;
-            for such a row the message names the line.
+        RecordingError: no row of numbers is within the first `HEADER_LINES` lines, or a row does not fit the first one.
     """
     text, encoding = decode(content)
     lines = split_lines(text)
@@ -121,14 +120,13 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
             best, layout = rank, Layout(delimiter, ".", width, 0, words, empty)
     if layout is None:
         return None
-    rows = [row for row in (split(line, layout.delimiter) for line in sample) if len(row) == layout.width]
-    decimal, is_proven = cells.decimal_sign(list(zip(*rows, strict=True)), layout.delimiter)
-    if not is_proven:  # whole numbers: those with groups of digits may be few
-        step = max(1, len(lines) // MOST_LINES)
-        every = (split(line, layout.delimiter) for line in lines[::step] if not line.startswith(COMMENTS))
-        rows = [row for row in every if len(row) == layout.width]
-        decimal, _ = cells.decimal_sign(list(zip(*rows, strict=True)), layout.delimiter)
-    layout = attrs.evolve(layout, decimal=decimal)
+    for some in (sample, lines[:: max(1, len(lines) // MOST_LINES)]):  # few numbers may have groups of digits
+        rows = [split(line, layout.delimiter) for line in some if not line.startswith(COMMENTS)]
+        fitting = [row for row in rows if len(row) == layout.width]
+        decimal, is_proven = cells.decimal_sign(list(zip(*fitting, strict=True)), layout.delimiter)
+        layout = attrs.evolve(layout, decimal=decimal)
+        if is_proven:
+            break
     for number, line in enumerate(lines[: HEADER_LINES + 1]):
         if is_row(line, layout):
             return attrs.evolve(layout, first=number)
@@ -136,17 +134,14 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
 
 def _seen_instead(lines: Sequence[str]) -> str:
-    """Return the end of the message that there are no rows of numbers: a later line of the table, as the file has it.
-
-    It may have another form than the first lines, as when a column was added.
-    """
+    """Return the end of the message that there are no rows of numbers: a later line, in case a column was added."""
     sample = _sample(lines)
     if len(lines) <= 1 or not sample:
         return ""
     text = sample[len(sample) // 2]
+    place = f"line {lines.index(text) + 1}"
     is_row = any(len(row := split(text, one)) > 1 and all(map(_is_value, row)) for one in DELIMITERS)
-    joint = " that has the form of its" if is_row else ";"
-    return f"{joint} line {lines.index(text) + 1}{' is' if not is_row else ''}: {text.strip()[:SHOWN]!r}"
+    return f"{f' that has the form of its {place}' if is_row else f'; {place} is'}: {text.strip()[:SHOWN]!r}"
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
@@ -192,13 +187,13 @@ def is_row(line: str, layout: Layout) -> bool:
 
 
 def _is_other_row(line: str, layout: Layout) -> bool:
-    """Return whether a line is a row of numbers, but with another number of cells than the layout."""
+    """Return whether a line is a row of numbers with more or fewer cells than the layout."""
     row = [] if line.startswith(COMMENTS) else split(line, layout.delimiter)
     return 1 < len(row) != layout.width and all(cell and _is_value(cell) for cell in row)
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
-    """Return the number of the line after the last row of numbers; later lines are not part of the table."""
+    """Return the number of the line after the last row of numbers."""
     end = len(lines)
     for _ in range(TRAILING_LINES):
         while end > layout.first and not lines[end - 1].strip():
@@ -210,10 +205,7 @@ def _end(lines: Sequence[str], layout: Layout) -> int:
 
 
 def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return a unique name for each column, the units by name, and the other lines before the table.
-
-    `lines` are those before the first row of numbers.
-    """
+    """Return a unique name for each column, units by name, and the other ones of the `lines` before the numbers."""
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
     for number, line in enumerate(lines):
@@ -279,7 +271,7 @@ def read_rows(
     """Return the columns of the table in the lines first <= line < end, and the numbers of lines that are comments.
 
     Raises:
-        RecordingError: a row does not fit the layout; the message names line and cell.
+        RecordingError: a row does not fit the layout.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
@@ -300,7 +292,7 @@ def read_rows(
 
 
 def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.generic]:
-    """Return a column that is mostly empty, from its parts: as numbers if all its cells are numbers, else as words."""
+    """Return a mostly empty column, from its parts: as numbers if all its cells are numbers, else as words."""
     column = np.concatenate(part).astype(str).tolist() if part else []
     values = [cells.number(cell, layout.decimal) for cell in column]
     return np.array(column if None in values else values, dtype=str if None in values else np.float64)
@@ -334,9 +326,8 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
             row = row[: layout.width]
         if len(row) != layout.width:
             raise RecordingError(
-                f"{path}: line {number + 1} has {len(row)} cells, the first row of numbers (line "
-                f"{layout.first + 1}) has "
-                f"{layout.width}"
+                f"{path}: line {number + 1} has {len(row)} cells, the first row of numbers (line {layout.first + 1}) "
+                f"has {layout.width}"
             )
         kept.append(row)
         numbers.append(number)
@@ -344,9 +335,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 
 
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
-    """Return the cells of column j as integers, floats, or words (which include times).
-
-    `numbers` are the lines of the cells, for messages.
+    """Return the cells of column j, in lines `numbers`, as integers, floats, or words (which include times).
 
     Raises:
         RecordingError: a cell in a column of numbers is not a number.

@@ -94,8 +94,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     if not signals:
         reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:200]
         raise RecordingError(f"{path} holds no channel of numbers{': ' + reasons if reasons else ''}")
-    remarks = tuple(dict.fromkeys(one.abscissa.note for one in signals.values() if one.abscissa.step == NO_INCREMENT))
-    return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out, remarks=tuple(filter(None, remarks)))
+    return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out)
 
 
 def _rate_hz(holder: object) -> float | None:
@@ -108,7 +107,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
     """Return the abscissa of a channel with `count` values, and its kind.
 
     The properties of its waveform take precedence, then times `listed` in another channel [s], then `rate_hz`. The
-    increment 1 is also that of programs that know none: it yields to listed times, and another rate makes it doubtful.
+    increment `NO_INCREMENT` yields to listed times, and with another rate neither counts.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
@@ -128,9 +127,8 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
         if factor is None:
             return Abscissa(AbscissaKind.OTHER, unit, offset, step), SignalKind.OTHER
         note = "wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate"
-        return Abscissa(
-            AbscissaKind.TIME, unit, offset * factor, step * factor, note=note if step * factor == NO_INCREMENT else ""
-        ), SignalKind.TIME_RESPONSE
+        note = note if step == NO_INCREMENT else ""
+        return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor, note=note), SignalKind.TIME_RESPONSE
     if listed is not None and has_times:
         return Abscissa(AbscissaKind.TIME, "s", float(listed[0]), None, listed - listed[0]), SignalKind.TIME_RESPONSE
     return even_times(rate_hz) if rate_hz else NO_ABSCISSA, SignalKind.TIME_RESPONSE
@@ -146,12 +144,8 @@ def _listed_times(group: object) -> tuple[str, Real] | None:
             return channel.name, (ns - ns[0]) / NS_PER_S
         unit = unit or next((str(channel.properties[key]) for key in UNIT_KEYS if channel.properties.get(key)), "")
         unit = headings.time_unit(name, unit) or "s"
-        if (
-            headings.is_time_name(name)
-            and values.dtype.kind in "fiu"
-            and len(values) > 1
-            and units.quantity(unit) == "s"
-        ):
+        is_column = values.dtype.kind in "fiu" and len(values) > 1
+        if is_column and headings.is_time_name(name) and units.quantity(unit) == "s":
             return channel.name, values.astype(np.float64) * (units.unit_factor(unit, "s") or 1.0)
     return None
 

@@ -36,10 +36,9 @@ from impact_rig_studies.importing.signals import (
 
 FUNCTIONS = {
     0: "general or unknown", 1: "time response", 2: "auto spectrum", 3: "cross spectrum",
-    4: "frequency response function",
-    5: "transmissibility", 6: "coherence", 7: "auto correlation", 8: "cross correlation", 9: "power spectral density",
-    10: "energy spectral density", 11: "probability density function", 12: "spectrum",
-    13: "cumulative frequency distribution",
+    4: "frequency response function", 5: "transmissibility", 6: "coherence", 7: "auto correlation",
+    8: "cross correlation", 9: "power spectral density", 10: "energy spectral density",
+    11: "probability density function", 12: "spectrum", 13: "cumulative frequency distribution",
     14: "peaks valley", 15: "stress/cycles", 16: "strain/cycles", 17: "orbit", 18: "mode indicator function",
     19: "force pattern", 20: "partial power", 21: "partial coherence", 22: "eigenvalue", 23: "eigenvector",
     24: "shock response spectrum", 25: "finite impulse response filter", 26: "multiple coherence", 27: "order function",
@@ -107,14 +106,7 @@ def _add(
 ) -> None:
     """Add a dataset of type 58 (a function) to `signals`, or to `left_out` with the reason.
 
-    Args:
-        one: dataset as pyuff returns it.
-        data: values of the dataset.
-        number: position of the dataset in the file.
-        system: unit of length of the file, for values without a unit.
-        signals: signals so far.
-        names: generator of unique names.
-        left_out: reasons so far.
+    `number` is its position in the file, and `system` the unit of length for values without a unit.
     """
     words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
     plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
