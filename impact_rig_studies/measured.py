@@ -131,10 +131,7 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 
 
 def _known(value: float, known: set[float], same: float) -> float:
-    """Return the element of `known` within `same` of `value`, or else `value`, rounded to decimals finer than `same`.
-
-    Gaps and frequencies of several files thus become equal if they differ only by measurement or typed digits.
-    """
+    """Return the element of `known` within `same` of `value`, or else `value`, rounded to finer decimals than `same`."""
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))
 

@@ -57,7 +57,7 @@ def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> N
 
 
 def number(key: str, value: object, low: float, high: float = math.inf) -> float:
-    """Return the value found under `key` of a study's file, which must be a number > low and <= high.
+    """Return a value that must be a number > low and <= high.
 
     Raises:
         ConfigError: the value is not a number, or is out of range.
@@ -70,7 +70,7 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
 
 
 def whole(key: str, value: object, low: int, high: int) -> int:
-    """Return the value found under `key` of a study's file, which must be an integer >= low and <= high.
+    """Return a value that must be an integer >= low and <= high.
 
     Raises:
         ConfigError: the value is not an integer, or is out of range.
@@ -81,7 +81,7 @@ def whole(key: str, value: object, low: int, high: int) -> int:
 
 
 def word(key: str, value: object, choices: Iterable[str]) -> str:
-    """Return the value found under `key` of a study's file, which must be one of `choices`.
+    """Return a value that must be one of `choices`.
 
     Raises:
         ConfigError: the value is not one of `choices`.
@@ -93,16 +93,12 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return the items of a value read by `values`, each of which must be one of `choices`.
-
-    Raises:
-        ConfigError: an item is not one of `choices`, or `values` rejects the value.
-    """
+    """Return the items of a value read by `values`, each of which must be one of `choices`."""
     return tuple(word(key, item, choices) for item in values(key, value))
 
 
 def mapping(key: str, value: object) -> dict[str, object]:
-    """Return the value found under `key` of a study's file, which must be a mapping; None counts as empty.
+    """Return a value that must be a mapping; None counts as empty.
 
     Raises:
         ConfigError: the value is not a mapping.
@@ -115,7 +111,7 @@ def mapping(key: str, value: object) -> dict[str, object]:
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the values found under `key` of a study's file: a list, a single value, or `{from: a, to: b, step: s}`.
+    """Return the values in a list, a single value, or `{from: a, to: b, step: s}`.
 
     Raises:
         ConfigError: the list is empty or has duplicates, or the range is invalid.
@@ -140,11 +136,7 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return the items of a value read by `values`, each of which must be a number in (low, high].
-
-    Raises:
-        ConfigError: an item is not such a number, or `values` rejects the value.
-    """
+    """Return the items of a value read by `values`, each of which must be a number in (low, high]."""
     return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
 
 
@@ -161,10 +153,7 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return the items of a value read by `values`, each of which must be a number, a text, true or false.
-
-    They are values of the rig's configuration, which itself checks their ranges.
-    """
+    """Return the items of a value read by `values`; the rig's configuration checks the ranges of these."""
     found: list[Value] = []
     for i, item in enumerate(values(key, value)):
         if not isinstance(item, (bool, int, float, str)):
@@ -174,12 +163,9 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 
 
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
-    """Return the rig that a study's file defines: its key `config` names a file, its key `set` changes values of it.
+    """Return the rig that the content `top` of a study's file in `folder` defines by its keys `config` and `set`.
 
-    Args:
-        top: content of the study's file.
-        folder: directory of the study's file, to which the name in `config` is relative.
-        refuse: function that raises for a value that must not be set; it receives key and dotted name of each.
+    `refuse` receives key and dotted name of each value that is set, and raises for one that must not be.
 
     Raises:
         ConfigError: a value is wrong, or `refuse` rejects one.

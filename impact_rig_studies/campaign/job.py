@@ -74,9 +74,7 @@ class Job:
     traces: bool = False  # whether to keep scans and truth after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the configuration of the rig; one block of scans lasts as long as the operator's interval.
-
-        That is 1/`UPDATES_PER_S`, or `MAX_BLOCK_SCANS` scans if these are fewer.
+        """Return the configuration of the rig, with a block of scans for each update of the operator.
 
         Raises:
             ConfigError: a value is wrong.
@@ -86,7 +84,7 @@ class Job:
         return from_flat(config, {"daq.block_scans": scans})
 
     def settings(self) -> TrackerSettings:
-        """Return the settings of the analysis that measures the job, such as when a response counts as settled.
+        """Return the settings of the analysis that measures the job.
 
         Raises:
             ConfigError: a value is wrong.
@@ -113,10 +111,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Identifier of the job: 16 hexadecimal digits, a digest of all values that determine the results.
-
-        The code and the request for traces do not change it.
-        """
+        """Digest of all values that determine the results, without code and traces: 16 hexadecimal digits."""
         content = {
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
@@ -199,15 +194,7 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Return consecutive scans and the true motion at the same times as columns, by name.
-
-    The column `time` counts from the first scan [s].
-
-    Args:
-        scans: rows of `daq/scan`, shape (n,).
-        truth: rows of `truth/scan`, shape (n,).
-        rate_hz: scans per second.
-    """
+    """Return rows of `daq/scan` and `truth/scan` at the same times as columns; `time` counts from the first [s]."""
     found: dict[str, NDArray[np.generic]] = {"time": np.arange(len(scans)) / rate_hz}
     for rows, names in ((scans, channels_of(scans)), (truth, TRUE_COLUMNS)):
         found.update({name: rows[name].astype(np.float32) for name in names})

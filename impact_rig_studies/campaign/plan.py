@@ -61,10 +61,7 @@ OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.from
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Study of a campaign file: all combinations of the values of its axes are measured.
-
-    An axis is a varied quantity, such as frequency, gap or current.
-    """
+    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured."""
 
     name: str
     frequencies_hz: tuple[float, ...]

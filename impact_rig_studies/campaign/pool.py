@@ -109,10 +109,7 @@ def in_parallel(
 
 @contextlib.contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Limit processes started in this block to one thread for linear algebra each, since every core has its process.
-
-    Environment variables that the user has set stay.
-    """
+    """Limit processes started in this block to one thread for linear algebra, unless the user chose otherwise."""
     added = dict.fromkeys((name for name in BLAS_THREADS if name not in os.environ), "1")
     os.environ.update(added)
     try:
@@ -123,10 +120,7 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _begin_worker(parent: int) -> None:
-    """Prepare a worker process: it ignores Ctrl-C, which the parent handles, and ends when the parent ends.
-
-    `parent` is the process id of the parent.
-    """
+    """Prepare a worker process: it ignores Ctrl-C, which the parent handles, and ends when the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     end_with(parent, lambda: os._exit(1))
@@ -147,10 +141,7 @@ P = TypeVar("P", bound=WorkItem)
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Result of a job on a cluster, the address of its worker, and the identifier of the worker's code.
-
-    The result is None if the worker's code differs from the caller's.
-    """
+    """Result of a job on a cluster, None if the worker's code differs; the worker's address and code."""
 
     worker: str
     code: str
@@ -158,9 +149,7 @@ class _Made(Generic[R]):
 
 
 def cluster_threads(address: str) -> int:
-    """Return the number of worker threads of the Dask cluster whose scheduler is at `address`.
-
-    Without workers it is `UNLIMITED`, since they may still join.
+    """Return the number of worker threads of a Dask cluster; `UNLIMITED` without workers, since they may still join.
 
     Raises:
         ConfigError: Dask is not installed.

@@ -77,10 +77,7 @@ class Point:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the superior base relative to the inferior one, of the first measurement only.
-
-        A mean of angles may be meaningless.
-        """
+        """Phase of x_1 relative to x_b in the first measurement, since a mean of angles may be meaningless."""
         return float(self.rows["phase"][0]) if len(self.rows) else NAN
 
     @property
@@ -246,15 +243,7 @@ def write_summary(
 ) -> None:
     """Write `summary.json`, the figures of a campaign for other programs; missing numbers are null.
 
-    Args:
-        directory: directory of the campaign.
-        reductions: reductions at 9.1 Hz.
-        statements: judged statements by name.
-        lost_blocks: number of blocks of scans that never reached the analysis.
-        wall_s: duration of the measurement by the clock of this machine.
-        simulated_s: rig time that was simulated.
-        seed: seed of the rig's instruments (`daq.seed`).
-        more: further entries.
+    `lost_blocks` never reached the analysis; `wall_s` is the time by this machine's clock, `simulated_s` by the rig's.
     """
     content = {
         "version": impact_rig.__version__,

@@ -61,10 +61,7 @@ MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
 Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
-"""Way of measuring jobs, such as in processes or through ROS: a function that yields each job with its outcome.
-
-The order is arbitrary.
-"""
+"""Way of measuring jobs, as in processes or through ROS: it yields each job with its outcome, in any order."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -86,10 +83,7 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions of DT at 9.1 Hz for the paper's gaps.
-
-        A gap that was not measured is absent; without a measurement without the sphere the values are NaN.
-        """
+        """Return the reductions of DT at 9.1 Hz for the paper's gaps; NaN or absent if not measured."""
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
         return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)
@@ -138,9 +132,7 @@ def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
 
 
 def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
-    """Create the directory of a campaign and return the store for its results.
-
-    `through` is the way of measuring, which is noted in `provenance.json`.
+    """Create the directory of a campaign and return its store; `through`, the way of measuring, is noted there.
 
     Raises:
         RecordingError: the directory cannot be written, or contains something else, or results of another rig.

@@ -36,9 +36,9 @@ ABOVE_HZ = (9.2, 9.5)
 FAR_HZ = (7.5, 8.0, 10.0, 10.5)
 FAR_LIMIT_PERCENT = 6.0  # our interpretation of `tend to coincide`
 SHIFT_LIMIT_PERCENT = 1.0
-"""Largest shift of the peak, in percent, that we count as the paper's "virtually unchanged" natural frequency.
+"""Largest shift of the peak, in percent, that counts as the paper's "virtually unchanged".
 
-The 0.44 % in the paper are the difference between its simulation and its experiment.
+(Its 0.44 % are the difference between its simulation and its experiment.)
 """
 # grid on which a peak is located; slightly more than 0.01 Hz because of the rounding of frequencies
 PEAK_STEP_HZ = 0.0101
@@ -181,9 +181,7 @@ def _frequency_unchanged(curves: Curves) -> Judgement:
 
 
 def peak_hz(curves: Curves, gap_m: float) -> float:
-    """Return the frequency at which DT with this gap peaks.
-
-    It is the vertex of the parabola through the highest point and its two neighbours.
+    """Return the frequency of a curve's peak: vertex of the parabola through its highest point and both neighbours.
 
     Raises:
         MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.

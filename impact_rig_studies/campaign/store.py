@@ -131,10 +131,9 @@ class Store:
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
 
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
-        """Return the content of a job's file, and the outcome in it.
+        """Return the content of a job's file, which must exist, and the outcome in it.
 
         Raises:
-            FileNotFoundError: the job has no file.
             DamagedPointError: the file is damaged.
         """
         path = self._path(job, "json")
@@ -200,17 +199,13 @@ class Store:
 
 
 class _Checked:
-    """Validator of an untrusted JSON object: it reports values of the wrong type or out of range."""
+    """Validator of an untrusted JSON object: a missing value, a wrong type or range is a `DamagedPointError`."""
 
     def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return the number under a key, which must be at least `low`, or greater if `above`.
-
-        Raises:
-            DamagedPointError: it is missing, not a number, or out of range.
-        """
+        """Return the number under a key, which must be at least `low`, or greater if `above`."""
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
             raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
@@ -244,11 +239,7 @@ class _Checked:
         return [row for row in rows if isinstance(row, dict)]
 
     def row(self) -> None:
-        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range.
-
-        Raises:
-            DamagedPointError: a value is missing or wrong.
-        """
+        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range."""
         for name, words in _WORDS.items():
             if self.text(name) not in [word.value for word in words]:
                 raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")
@@ -277,11 +268,7 @@ def shortened(value: object) -> str:
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Return the numbers of one array of an NPZ file, given as the bytes of its member of the archive.
-
-    Raises:
-        ValueError: it is not one column of real numbers, or its header states another length than the data have.
-    """
+    """Return the numbers of one array of an NPZ file; the length in its header is checked before use."""
     file = io.BytesIO(member)
     version = np.lib.format.read_magic(file)
     header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
@@ -321,10 +308,7 @@ DECIDING = (
 
 @functools.cache
 def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
-    """Return an identifier of the code that measures: the version, and a digest of the sources of these packages.
-
-    The digest has 12 hexadecimal digits. Results with another identifier are measured again.
-    """
+    """Return the version and 12 hexadecimal digits of the sources of these packages."""
     digest = hashlib.sha256()
     for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):
         for path in sorted(package.rglob("*.py")):

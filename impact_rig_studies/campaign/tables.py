@@ -86,10 +86,7 @@ def to_xarray(
 def _spread(
     column: NDArray[np.generic], order: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> NDArray[np.generic]:
-    """Return a column as an array over a grid of the given shape; grid points without a row are NaN or an empty text.
-
-    `order` contains one array per dimension: the index of each row along it.
-    """
+    """Return a column as an array over a grid, NaN or an empty text without a row; `order` has each row's indices."""
     filler: object = "" if column.dtype.kind == "U" else np.nan
     found = np.full(shape, filler, column.dtype if column.dtype.kind == "U" else float)
     found[order] = column

@@ -130,10 +130,7 @@ class TaskStore(Generic[T]):
         return fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
-        """Return the stored rows of a task, or None if it must be measured.
-
-        This is so if there is no result, it was measured with other code, or its file is damaged.
-        """
+        """Return the rows of a task, or None if there are none, from other code, or damaged: it must be measured."""
         try:
             found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
             if found["code"] != self.code() or found["key"] != task.key:

@@ -62,10 +62,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
 def run_identify(arguments: argparse.Namespace) -> int:
-    """Fit constants of the rig to a campaign or to the paper's numbers, print them, and return the exit code, 0.
-
-    Those of a campaign are also written into its directory.
-    """
+    """Fit constants to a campaign, whose directory receives them, or to the paper; print them, and return 0."""
     console = Console(quiet=arguments.json)
     if arguments.paper:
         base = load_config(arguments.config) if arguments.config else RigConfig()

@@ -477,7 +477,7 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add a fit to `held` where the probability density changes most; return False if none is needed or possible."""
+        """Add a fit to `held` where the probability density changes most; return whether that was done."""
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
         density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)

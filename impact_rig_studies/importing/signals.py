@@ -137,10 +137,7 @@ class ImportedSignals:
 
 
 class UniqueNames:
-    """Generator of unique names for signals, fast even for thousands of equal names.
-
-    `reserved` are names that must not be used.
-    """
+    """Generator of unique names for signals, fast even for thousands of equal names, that avoids `reserved` ones."""
 
     def __init__(self, reserved: tuple[str, ...] = ()) -> None:
         self._taken = set(reserved)

@@ -57,10 +57,7 @@ def step_of(values: Real) -> float:
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences `apart` are multiples; 0 if there is none above chance.
-
-    `rounding` is the possible error of each difference.
-    """
+    """Return the largest number of which all differences are multiples within `rounding`; 0 if none is above chance."""
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0
     while step > rounding:

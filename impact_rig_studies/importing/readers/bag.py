@@ -126,10 +126,7 @@ class _Series:
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Add the numbers of a message, at the stamp in its header, or at `log_ns`, when it was recorded.
-
-        If it does not fit the earlier messages of the topic, `left_out` becomes the reason.
-        """
+        """Add the numbers of a message; if it does not fit the earlier ones, `left_out` becomes the reason."""
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0
         if not stamp_ns:  # of a driver that leaves the stamp empty

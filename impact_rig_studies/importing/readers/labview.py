@@ -64,10 +64,7 @@ class _Segment:
         return cells.number(text, decimal) if text else None
 
     def text(self, key: str, channel: int) -> str:
-        """Return the text that the header states for a channel under a key; empty if it states none.
-
-        If each channel has its own X column, the header has an empty cell for each of these, which is skipped.
-        """
+        """Return the text of the header for a channel; where each channel has an X column, cells between are empty."""
         values = self.header.get(key, [])
         if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
             values = values[::2]

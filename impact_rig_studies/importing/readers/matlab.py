@@ -105,10 +105,7 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 
 
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
-    """Add the datasets of an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively.
-
-    `depth` counts the structs around the group.
-    """
+    """Add the datasets of an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively."""
     for name, one in tree.members(group):
         if name.startswith("#"):  # internal data of MATLAB
             continue
