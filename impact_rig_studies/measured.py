@@ -131,7 +131,7 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 
 
 def _known(value: float, known: set[float], same: float) -> float:
-    """Return the element of `known` within `same` of `value`, or else `value`, rounded to finer decimals than `same`."""
+    """Return the element of `known` within `same` of `value`, or else `value`, rounded a little finer than `same`."""
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))
 
