@@ -396,7 +396,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
-            self.get_logger().warning(f"no message received on {names} within {AWAIT_S:g} s: recording without it")
+            self.get_logger().warning(f"no message received on {names} in the first {AWAIT_S:g} s of the recording")
             self._awaited = set()
         if self._writer is not None:
             try:

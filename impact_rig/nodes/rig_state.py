@@ -250,8 +250,8 @@ class RigState:
 
     def _log_faults(self, now: dict[int, str]) -> None:
         before, self._faults = self._faults, dict(now)
-        begun, ended = now.keys() - before.keys(), before.keys() - now.keys()
-        self._few([f"instrument fault {number} has started: {now[number]}" for number in begun], self._warn)
+        started, ended = now.keys() - before.keys(), before.keys() - now.keys()
+        self._few([f"instrument fault {number} has started: {now[number]}" for number in started], self._warn)
         self._few([f"instrument fault {number} has ended: {before[number]}" for number in ended], self._info)
 
     def _few(self, lines: list[str], say: Callable[[str], None]) -> None:
