@@ -278,15 +278,13 @@ def test_the_impacts_that_live_had_found_are_compared_too(tmp_path: Path) -> Non
         rows["peak"] *= 1.0 + 1e-8
         return rows
 
+    silent = [one for place, one in enumerate(data) if place < middle or place not in places]
     altered = [*data[:middle], *edited(data[middle : middle + 1], "impacts", louder), *data[middle + 1 :]]
     for name, case, said in (
         ("louder", altered, "impacts: peak at "),
         ("missing", [*data[:middle], *data[middle + 1 :]], "only the later analysis found an impact at"),
-        (
-            "invented",
-            [*data[:middle], *shifted(data[middle]), *data[middle:]],
-            "only the live analysis found an impact",
-        ),
+        ("ended", silent, "only the later analysis found an impact at"),
+        ("invented", [*data[:middle], *shifted(data[middle]), *data[middle:]], "only the live analysis found"),
     ):
         found = compared(tmp_path / name, case)
         assert found.same is False
