@@ -193,6 +193,13 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
         assert run.attachments()["environment.json"]
 
 
+def test_a_start_before_the_configuration_has_arrived_is_not_requested_again(client: Client, tmp_path: Path) -> None:
+    host_recorder(client, tmp_path)
+    client.wait_active("recorder")
+    with pytest.raises(ServiceFailedError, match="already requested, and waits for the rig's configuration"):
+        client.trigger("recorder/start")
+
+
 def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -> None:
     """Stopping and starting again within one second must work, although the name of the run is taken."""
     host_recorder(client, tmp_path, record=False, name="", configuration_wait_s=0.0)
