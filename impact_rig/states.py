@@ -49,7 +49,7 @@ class Word(enum.StrEnum):
 
 
 class RigWord(Word):
-    """States of the rig node, the most severe first; of several that apply, the first is reported."""
+    """States of the rig node, the most severe first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     RIVAL = "rival", "another node publishes this rig's topics, or holds its namespace"
@@ -66,7 +66,7 @@ class RigWord(Word):
 
 
 class AnalysisWord(Word):
-    """States of the analysis node, the most severe first; of several that apply, the first is reported."""
+    """States of the analysis node, the most severe first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     NO_SCANS = "no_scans", "no scans received yet, or none for two seconds"
@@ -81,7 +81,7 @@ class AnalysisWord(Word):
 
 
 class RecorderWord(Word):
-    """States of the recorder node, the most severe first; of several that apply, the first is reported."""
+    """States of the recorder node, the most severe first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     FAILED = "failed", "disk full, directory gone, ...: nothing is recorded"
@@ -104,7 +104,7 @@ class PlotWord(Word):
 
 
 class SteppedSineWord(Word):
-    """States of the stepped-sine node, the most severe first; of several that apply, the first is reported."""
+    """States of the stepped-sine node, the most severe first."""
 
     INACTIVE = "inactive", "unconfigured, inactive or finalised: the reason begins with the lifecycle state"
     ABORTED = "aborted", "the last sweep ended before its plan: the reason says why"
@@ -122,7 +122,7 @@ BY_NODE: dict[str, type[NodeWord]] = {
     "plot": PlotWord,
     "stepped_sine": SteppedSineWord,
 }
-"""Class with the state words of each node, by the node's name."""
+"""Class with the states of each node, by the node's name; of several states that apply, the first is reported."""
 
 
 class Status(Word):

@@ -59,60 +59,48 @@ def add_command(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--attach", nargs="?", const=FOUND, metavar="NAMESPACE",
-        help="show a rig that another program runs, instead of starting one; NAMESPACE such as /rig, without it the "
-        "only rig that is found",
+        help="show a rig that already runs, instead of starting one; NAMESPACE such as /rig, without it the only rig "
+        "that is found",
     )  # fmt: skip
     parser.add_argument(
         "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"
     )
     parser.add_argument(
         "--sample", action="store_true",
-        help="play back a short sample run; the first use simulates and stores it, without ROS 2",
+        help="play back a short sample run, without ROS 2; the first use simulates and stores it",
     )  # fmt: skip
     parser.add_argument("--port", type=int, default=8765, help="TCP port of the page; 0: any free one (default: 8765)")
     parser.add_argument(
         "--host", default="127.0.0.1",
-        help="address of this machine at which the page is served; other machines can open the page if it is not the "
-        "default (default: 127.0.0.1)",
+        help="address on which the page is served; any but the default lets other machines open it (default: "
+        "%(default)s)",
     )  # fmt: skip
     add_recorded_rig(parser)
-    parser.add_argument(
-        "--no-browser", action="store_true", help="print the address of the page without opening a browser"
-    )
+    parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")
     parser.add_argument(
         "--scan-rate", type=int, default=10_000, metavar="HZ",
-        help="scans per second of the rig that is started (default: 10000)",
+        help="scans per second of the rig that is started (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--mode",
-        choices=("realtime", "free_running"),
-        default="realtime",
-        help="time mode of the rig that is started: as fast as real time, or as fast as possible (default: realtime)",
-    )
+        "--mode", choices=("realtime", "free_running"), default="realtime",
+        help="pace of the rig that is started: real time, or as fast as possible (default: %(default)s)",
+    )  # fmt: skip
     parser.add_argument(
         "--branches", type=Path, metavar="DIR", nargs="+", default=(),
         help="output folders of `impact-rig dynamics continue` over frequency; their branches are drawn with the curve "
         "of DT while the rig has the settings for which they were computed",
     )  # fmt: skip
+    parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
     parser.add_argument(
-        "--no-record", action="store_true", help="do not record from the start; recording can be started on the page"
-    )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("runs"),
-        metavar="DIR",
-        help="directory in which each recording gets a folder of its own (default: runs)",
-    )
+        "--output", type=Path, default=Path("runs"), metavar="DIR",
+        help="directory in which each recording gets a folder of its own (default: %(default)s)",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run `impact-rig lab`: start or open what the page shows, and serve the page until Ctrl-C.
 
     It also ends when the program that reads its standard output ends; then the exit code is that of SIGPIPE.
-
-    Args:
-        arguments: parsed options, see `add_command`.
 
     Raises:
         ImpactRigError: options contradict each other, a run cannot be read, or the rig or server cannot be started.
@@ -152,10 +140,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _say_where(source: Any) -> None:
-    """Print the directory of the last recording of a live source at the end of the program, if there is one.
+    """Print the directory of the last recording of a live source, if there is one.
 
-    Args:
-        source: source of the page, or None if the program has failed before.
+    The source is None if the program has failed before.
     """
     directory = getattr(source, "directory", None)
     if directory is not None:
@@ -245,11 +232,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Return the ROS parameters with which the lab starts its nodes, by node and name of the parameter.
-
-    Args:
-        arguments: parsed options of `impact-rig lab`.
-    """
+    """Return the ROS parameters with which the lab starts its nodes, by node and name of the parameter."""
     return {
         "rig": {
             "time.mode": arguments.mode,

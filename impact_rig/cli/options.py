@@ -31,6 +31,12 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 WIDTH = 78  # width of help pages, for a terminal of 80 columns
 NAMESPACE = "/rig"  # of a running rig
 PROCESS, ROS, RUNNING = "process", "ros", "running"
+WAYS = {
+    PROCESS: "in this program (default)",
+    ROS: "in ROS nodes that this program starts",
+    RUNNING: "a rig that already runs, with its own configuration",
+}
+"""Places where a rig can run, each with its meaning."""
 
 
 def call(function: str, *arguments: object) -> int:
@@ -106,9 +112,25 @@ def add_recorded_rig(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe the rig which a command starts: `--config`, `--gap` and `--sphere-start`."""
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+def add_config(parser: argparse.ArgumentParser, what: str = "rig configuration (default: the paper's rig)") -> None:
+    """Add the option `--config`, a configuration file, with help text `what`."""
+    parser.add_argument("--config", type=Path, metavar="FILE", help=what)
+
+
+def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), needs: str = "") -> None:
+    """Add the options that select where a rig runs, and describe one that the command starts.
+
+    Args:
+        parser: parser of a command. Any way but `PROCESS` makes the program check for ROS 2 before it runs the command.
+        ways: places where the rig can run, of `WAYS`.
+        needs: what the configuration of a running rig must have, for the help.
+    """
+    places = "; ".join(f"{way}, {WAYS[way]}" for way in ways)
+    parser.add_argument("--through", choices=ways, default=PROCESS, help=f"place where the rig runs: {places}{needs}")
+    parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
+    if RUNNING in ways:
+        parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
+    add_config(parser)
     parser.add_argument(
         "--gap", type=GAP, metavar="LENGTH",
         help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured)",
@@ -119,30 +141,8 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def add_through(parser: argparse.ArgumentParser, ways: tuple[str, ...], what: str) -> None:
-    """Add the option `--through`, which selects where the rig runs: one of `ways`, by default in this process.
-
-    Any other way makes the program check for ROS 2 before it runs the command. `what` is the help text.
-    """
-    parser.add_argument("--through", choices=ways, default=PROCESS, help=what)
-    parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
-
-
-def add_way(parser: argparse.ArgumentParser, needs: str = "") -> None:
-    """Add `--through` with all three places where a rig can run, and `--namespace` for a rig that already runs.
-
-    `needs` is appended to the help text: what that configuration must have.
-    """
-    what = (
-        "where the rig runs: process, in this program (default); ros, in ROS nodes that this program starts; "
-        f"running, a rig that already runs, with its own configuration{needs}"
-    )
-    add_through(parser, (PROCESS, ROS, RUNNING), what)
-    parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
-
-
 def running_namespace(arguments: argparse.Namespace) -> str:
-    """Return the namespace of the running rig that the options of `add_way` select; empty if the command starts a rig.
+    """Return the namespace of the running rig that the options of `add_rig` select; empty if the command starts a rig.
 
     Raises:
         ConfigError: `--namespace` was given, but the command starts a rig.

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import attrs
 
-from impact_rig.cli.options import Commands, add_figures, add_json, add_output, add_rig, add_run, add_way, subcommand
+from impact_rig.cli.options import Commands, add_config, add_figures, add_json, add_output, add_rig, add_run, subcommand
 from impact_rig.cli.quantities import Quantity, positive
 from impact_rig.config import Drive, FieldInfo
 from impact_rig.embedded import VERSIONS
@@ -36,7 +36,7 @@ CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 
 
 def add_record(commands: Commands) -> None:
-    """Add the command `impact-rig record`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig record` with its options."""
     parser = subcommand(
         commands, "record", "impact_rig.cli.record:run_record",
         "record one run at one frequency and current, and measure its displacement transmissibility DT",
@@ -54,26 +54,25 @@ def add_record(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--current", type=CURRENT, metavar="A",
-        help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged, or, if "
-        "given, set to 0 at the end)",
+        help="peak coil current of the shaker; on a running rig it is set to 0 at the end (default: "
+        f"{CURRENT_A}A, on a running rig its present current)",
     )  # fmt: skip
     parser.add_argument(
         "--seconds", type=positive("s"), default=SECONDS, metavar="S",
-        help=f"length of the run in rig time (default: {SECONDS:g})",
+        help="length of the run in rig time (default: %(default)g)",
     )  # fmt: skip
-    add_rig(parser)
     parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of the instruments' noise and calibration errors (default: as "
-        "configured)",
+        "--seed", type=int, metavar="N",
+        help="seed of the instruments' noise and calibration errors (default: as configured)",
     )  # fmt: skip
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: as configured)")
-    add_way(parser)
+    add_rig(parser)
     add_output(parser, "directory of the run (default: runs/record_<time>)")
     add_json(parser)
 
 
 def add_info(commands: Commands) -> None:
-    """Add the command `impact-rig info`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig info` with its options."""
     parser = subcommand(
         commands, "info", "impact_rig.cli.recorded:run_info", "contents of a run, and whether it is complete",
         [
@@ -106,7 +105,7 @@ def analyses() -> Iterator[Analysis]:
 
 
 def add_analyze(commands: Commands) -> None:
-    """Add the command `impact-rig analyze`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig analyze` with its options."""
     parser = subcommand(
         commands, "analyze", "impact_rig.cli.analyze:run_analyze",
         "analyse a run again like the live node, and compare the results",
@@ -133,7 +132,7 @@ def add_analyze(commands: Commands) -> None:
     parser.add_argument(
         "--window", choices=WINDOWS, default="hann",
         help="window function of the segments of --frf; boxcar is for a drive that repeats every segment (default: "
-        "hann)",
+        "%(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--damping", type=float, metavar="ZETA",
@@ -170,7 +169,7 @@ SINE = Analysis(
 
 
 def add_verify(commands: Commands) -> None:
-    """Add the command `impact-rig verify`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig verify` with its options."""
     parser = subcommand(
         commands, "verify", "impact_rig.cli.recorded:run_verify",
         "re-simulate a run from its journal and compare every recorded topic of the rig bit for bit",
@@ -182,7 +181,7 @@ def add_verify(commands: Commands) -> None:
 
 
 def add_replay(commands: Commands) -> None:
-    """Add the command `impact-rig replay`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig replay` with its options."""
     parser = subcommand(
         commands, "replay", "impact_rig.cli.recorded:run_replay",
         "publish the messages of a run on its topics again, with /clock",
@@ -242,7 +241,7 @@ INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
 
 
 def add_recover(commands: Commands) -> None:
-    """Add the command `impact-rig recover`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig recover` with its options."""
     parser = subcommand(
         commands, "recover", "impact_rig.cli.recorded:run_recover",
         "save every intact chunk of a damaged or unfinished run",
@@ -260,7 +259,7 @@ def add_recover(commands: Commands) -> None:
 
 
 def add_export(commands: Commands) -> None:
-    """Add the command `impact-rig export`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig export` with its options."""
     parser = subcommand(
         commands, "export", "impact_rig.cli.export:run_export",
         "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
@@ -274,14 +273,14 @@ def add_export(commands: Commands) -> None:
     add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
     parser.add_argument(
         "topic",
-        help="table to write, for a run a topic, e.g. transmissibility/table; for a campaign or a map: points; for "
+        help="table to write: for a run a topic, e.g. transmissibility/table; for a campaign or a map: points; for "
         "dynamics: the kind of study",
     )  # fmt: skip
     parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
 
 
 def add_fmu(commands: Commands) -> None:
-    """Add the command `impact-rig fmu`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig fmu` with its options."""
     parser = subcommand(
         commands, "fmu", "impact_rig.cli.fmu:run_fmu", "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",
         [
@@ -290,7 +289,7 @@ def add_fmu(commands: Commands) -> None:
         ],
     )  # fmt: skip
     parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    add_config(parser)
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
         "--kernels", type=Path, metavar="DIR",
@@ -303,7 +302,7 @@ PORT = 31763  # port of the NI gRPC Device Server
 
 
 def add_daqmx(commands: Commands) -> None:
-    """Add the command `impact-rig daqmx`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig daqmx` with its options."""
     parser = subcommand(
         commands, "daqmx", "impact_rig.cli.daqmx:run_daqmx", "serve the rig to scripts that use NI's nidaqmx package",
         [
@@ -314,7 +313,7 @@ def add_daqmx(commands: Commands) -> None:
         "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks.",
     )  # fmt: skip
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
-    parser.add_argument("--config", type=Path, metavar="FILE", help="rig configuration (default: the paper's rig)")
+    add_config(parser)
     parser.add_argument(
         "--namespace", help="namespace of a running rig to serve (default: this program simulates a rig)"
     )
@@ -324,19 +323,17 @@ def add_daqmx(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--host", default="127.0.0.1",
-        help="address on which the server listens; with any other one, other machines can drive the rig (default: "
+        help="address on which the server listens; any but the default lets other machines drive the rig (default: "
         "%(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--port",
-        type=int,
-        default=PORT,
+        "--port", type=int, default=PORT,
         help="port on which the server listens; 0: any free one (default: %(default)s)",
-    )
+    )  # fmt: skip
 
 
 def add_check(commands: Commands) -> None:
-    """Add the command `impact-rig check`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig check` with its options."""
     parser = subcommand(
         commands, "check", "impact_rig.cli.check:run_check", "validate a configuration file without starting anything",
         [
@@ -348,12 +345,12 @@ def add_check(commands: Commands) -> None:
     add_json(parser)
     parser.add_argument(
         "--instruments", action="store_true",
-        help="also apply a known sine to every channel of the configured board, and check gain, phase, noise, polarity",
+        help="also check gain, phase, noise and polarity of every channel of the board with a known sine",
     )  # fmt: skip
 
 
 def add_interface(commands: Commands) -> None:
-    """Add the command `impact-rig interface`, with its options and help, to the commands of the program."""
+    """Register the command `impact-rig interface` with its options."""
     parser = subcommand(
         commands, "interface", "impact_rig.cli.interface:run_interface",
         "list topics, services and parameters, or what changed from an earlier version",
@@ -367,5 +364,5 @@ def add_interface(commands: Commands) -> None:
     add_json(parser)
     parser.add_argument(
         "--against", type=Path, metavar="FILE",
-        help="JSON of an earlier version, written by its `interface --json`, with which this one is compared",
+        help="compare with an earlier version, described by the output of its `interface --json`",
     )  # fmt: skip

@@ -72,7 +72,7 @@ def open_rig(
     """Return the rig that `--through` selects, with a recording into a directory.
 
     Args:
-        arguments: parsed arguments, including those of `add_way`.
+        arguments: parsed arguments, including those of `add_rig`.
         config: configuration of a rig to start; behind topics it runs as fast as recorder, analysis and this program
             follow.
         record: directory of the run.

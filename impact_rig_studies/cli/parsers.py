@@ -24,14 +24,13 @@ from impact_rig.cli.options import (
     PROCESS,
     ROS,
     Commands,
+    add_config,
     add_figures,
     add_json,
     add_output,
     add_recorded_rig,
     add_rig,
     add_run,
-    add_through,
-    add_way,
     subcommand,
 )
 from impact_rig.cli.parsers import Analysis
@@ -80,10 +79,7 @@ def add_compare(commands: Commands) -> None:
     )  # fmt: skip
     add_json(parser)
     add_run(parser)
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE",
-        help="configuration of the model (default: that in the run, else the paper's rig)",
-    )  # fmt: skip
+    add_config(parser, "configuration of the model (default: that in the run, else the paper's rig)")
     parser.add_argument(
         "--drive", choices=("current", "base"),
         help="measured quantity that drives the model: coil current, or motion of the inferior base (default: current "
@@ -120,16 +116,11 @@ def add_import(commands: Commands) -> None:
         "them the run has no DT: docs/tutorials/own_measurement.md.",
     )  # fmt: skip
     add_json(parser)
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="measurement in one of the formats below")
     parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="file with a measurement, in one of the formats below"
-    )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        required=True,
-        metavar="DIR",
+        "--output", type=Path, required=True, metavar="DIR",
         help="new directory that receives the run, several runs, or the campaign",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
     )
@@ -169,10 +160,7 @@ def add_import(commands: Commands) -> None:
     parser.add_argument(
         "--campaign", action="store_true", help="combine the runs into one campaign, for report and identify"
     )
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE",
-        help="configuration with known properties of the rig, with --campaign (default: the paper's rig)",
-    )  # fmt: skip
+    add_config(parser, "configuration with known properties of the rig, with --campaign (default: the paper's rig)")
 
 
 def add_drive(commands: Commands) -> None:
@@ -216,9 +204,6 @@ def _add_play(tests: Commands) -> None:
             ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
         ],
     )  # fmt: skip
-    parser.add_argument(
-        "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
-    )
     _add_signal(parser, "current")
     parser.add_argument(
         "--seconds", type=positive("s"), metavar="S", help="rig time after which the signal ends (default: all of it)"
@@ -281,16 +266,11 @@ def _add_replicate(tests: Commands) -> None:
         "make a motion of the rig follow a given signal, by learning from repeated trials",
         [("drive replicate road.csv --signal x_b --unit mm", "the motion of the base follows the column x_b")],
     )  # fmt: skip
-    parser.add_argument(
-        "file", type=Path, metavar="FILE", help="file with the signal to follow, in a format of `import`, or a run"
-    )
     _add_signal(parser, "the one that follows")
     parser.add_argument(
-        "--plan",
-        type=Path,
-        metavar="FILE",
+        "--plan", type=Path, metavar="FILE",
         help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 10 trials"),
-    )
+    )  # fmt: skip
     _add_stream_options(parser, "replicate", RATE_HZ)
 
 
@@ -307,25 +287,23 @@ def _add_shock(tests: Commands) -> None:
 
 def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
     parser.add_argument(
-        "--signal",
-        metavar="NAME",
-        help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
+        "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
     )
+    parser.add_argument(
+        "--signal", metavar="NAME",
+        help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
+    )  # fmt: skip
     parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
     )
     parser.add_argument(
-        "--file-rate",
-        type=float,
-        metavar="HZ",
-        help="samples per second of a file without times and without a rate",
+        "--file-rate", type=float, metavar="HZ", help="samples per second of a file without times and without a rate"
     )
 
 
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
-    add_rig(parser)
-    add_way(parser, " and drive.waveform: stream")
+    add_rig(parser, needs=" and drive.waveform: stream")
     parser.add_argument(
         "--scan-rate", type=int, default=rate_hz, metavar="HZ",
         help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
@@ -428,8 +406,7 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
-    add_through(parser, (PROCESS, ROS), "where the rig runs: in this process (default), or as ROS node processes")
-    add_rig(parser)
+    add_rig(parser, (PROCESS, ROS))
     add_json(parser)
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
 
@@ -446,29 +423,13 @@ def add_campaign(commands: Commands) -> None:
         ],
         "The last line is the directory of the results; `impact-rig report` makes a page of it.",
     )  # fmt: skip
-    add_json(parser)
-    parser.add_argument(
-        "file",
-        nargs="?",
-        type=Path,
-        metavar="FILE",
-        help="campaign file (required), e.g. config/paper.yaml; it may also follow --through WAY",
-    )
-    parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == "ros")
-    parser.add_argument(
-        "--through", nargs="+", default=["process"], metavar="WAY",
-        help="way of measuring: process (all cores; default), ros (rig and analysis as ROS nodes) or dask ADDRESS (a "
-        "Dask cluster)",
-    )  # fmt: skip
-    add_output(parser, "directory of the results; those already stored in it are kept (default: runs/campaign_<file>)")
-    parser.add_argument(
-        "--only", nargs="+", default=(), metavar="STUDY", help="names of the studies to measure (default: all)"
-    )
+    parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == ROS)
+    _add_tasks(parser, "campaign", "campaign", "config/paper.yaml", ", ros (rig and analysis as ROS nodes)")
+    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to measure (default: all)")
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
     )
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
         "--check", action="store_true", help="exit with 1 if a point failed or the results contradict the paper"
@@ -512,15 +473,12 @@ def add_map(commands: Commands) -> None:
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
     )  # fmt: skip
-    parser.add_argument(
-        "file", nargs="?", type=Path, metavar="FILE",
-        help="map file (required), e.g. config/maps/gap_frequency.yaml; it may also follow --through WAY",
-    )  # fmt: skip
+    _add_tasks(parser, "map", "map", "config/maps/gap_frequency.yaml")
+    _add_drawings(parser)
     parser.add_argument(
         "--exponent", action="store_true",
         help="compute the largest Lyapunov exponent of every motion that is not periodic",
     )  # fmt: skip
-    _add_task_options(parser, "map")
 
 
 def add_dynamics(commands: Commands) -> None:
@@ -535,23 +493,35 @@ def add_dynamics(commands: Commands) -> None:
         more="All studies use the mechanics without instruments. Run the command again to resume it.",
     )  # fmt: skip
     parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
+    _add_tasks(parser, "dynamics", "studies", "config/dynamics/nominal.yaml")
+    _add_drawings(parser)
+
+
+def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example: str, other_way: str = "") -> None:
+    """Add the arguments that `campaign`, `map` and `dynamics` share, which `impact_rig_studies.cli.tasks` reads.
+
+    Args:
+        parser: parser of the command.
+        command: name of the command, also the first word of the default directory.
+        what: subject of the file, for the help.
+        example: path of a file that comes with the package, for the help.
+        other_way: way of measuring in addition to `process` and `dask`, for the help.
+    """
     parser.add_argument(
         "file", nargs="?", type=Path, metavar="FILE",
-        help="file that defines the studies (required), e.g. config/dynamics/nominal.yaml; it may also follow "
-        "--through WAY",
+        help=f"file that defines the {what} (required), e.g. {example}; it may also follow --through WAY",
     )  # fmt: skip
-    _add_task_options(parser, "dynamics")
-
-
-def _add_task_options(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the arguments that `map` and `dynamics` share; `what` is the name of the command."""
     parser.add_argument(
-        "--through", nargs="+", default=["process"], metavar="WAY",
-        help="way of measuring: process (all cores; default) or dask ADDRESS (a Dask cluster)",
+        "--through", nargs="+", default=[PROCESS], metavar="WAY",
+        help=f"way of measuring: process (all cores; default){other_way} or dask ADDRESS (a Dask cluster)",
     )  # fmt: skip
-    add_output(parser, f"directory of the results; those already stored in it are kept (default: runs/{what}_<file>)")
+    add_output(parser, f"directory of the results; those already in it are kept (default: runs/{command}_<file>)")
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     add_json(parser)
+
+
+def _add_drawings(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the figures of `map` and `dynamics`."""
     parser.add_argument("--no-figures", action="store_true", help="draw no figures")
     add_figures(parser, "directory for the figures (default: `figures` in that of the results)")
 
@@ -568,12 +538,9 @@ def add_identify(commands: Commands) -> None:
     )  # fmt: skip
     add_json(parser)
     parser.add_argument(
-        "directory",
-        nargs="?",
-        type=Path,
-        metavar="DIR",
+        "directory", nargs="?", type=Path, metavar="DIR",
         help="directory of a campaign, which receives the results (required without --paper)",
-    )
+    )  # fmt: skip
     parser.add_argument(
         "--decay", type=Path, metavar="RUN",
         help="recorded free decay after a pluck (default: pluck the simulated rig; none for an imported campaign)",
@@ -589,16 +556,12 @@ def add_identify(commands: Commands) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
-        help="standard uncertainty of the configured restitution e, 0 if e is exact "
-        f"(default: {U_RESTITUTION:g})",
+        help="standard uncertainty of the configured restitution e, 0 if e is exact (default: %(default)g)",
     )  # fmt: skip
     parser.add_argument(
         "--paper", action="store_true", help="fit constants to the reductions in the paper instead of to a campaign"
     )
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE",
-        help="configuration with the known constants, with --paper (default: the paper's rig)",
-    )  # fmt: skip
+    add_config(parser, "configuration with the known constants, with --paper (default: the paper's rig)")
 
 
 HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m", low=0.0))
