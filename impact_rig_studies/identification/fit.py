@@ -27,6 +27,7 @@ ratio to other constants. With the sphere, whose mass is known, the reductions d
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -304,13 +305,18 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
     return theta
 
 
+def _damping(bent: Real) -> Real:
+    """Return rows of whitened residuals' derivatives that keep constants near where they are if no data do."""
+    return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
+
+
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
 
     Along directions that the data hardly determine, the step is damped; where they do not at all, it is zero. For the
     arguments see `_linear`.
     """
-    damped = np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
+    damped = _damping(bent)
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
     size = np.maximum(np.linalg.norm(whole, axis=0), 1e-30)  # so that f_n, by far the best known, does not hide others
     change = -np.linalg.lstsq(whole / size, np.append(residual, np.zeros(len(damped))), rcond=RANK)[0] / size
@@ -321,17 +327,21 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
 # --- Reductions. The masses follow from them, and e is known beforehand within its uncertainty only. χ² is not smooth -
 # in e: if the sphere strikes in another pattern, the slopes change, and the data may have another explanation.
 # Therefore χ² is profiled: the constants are fitted at many fixed values of e. The result is the mean over the profile,
-# weighted by exp(−χ²/2), and includes its spread.
+# weighted by the probability of each e, and includes its spread.
 
 FACTORS = np.arange(-1.2, 1.21, 0.08)  # logarithms of the common factor of forces and masses that are tried first
 U_FACTOR = 0.03  # relative uncertainty of a ratio of DT that is assumed to compare these factors
 TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and largest excess of χ² over the best one
-COARSE_E = np.arange(-3.0, 3.1, 0.25)  # first values of e: distances from the nominal e in prior standard uncertainties
+COARSE_E = np.arange(-30, 31) / 10.0
+"""First values of e: distances from the nominal e in prior standard uncertainties.
+
+Right explanations were seen over a range of e of 0.12 of it, at which a step of 0.25 passed without a sign of them.
+"""
 MINIMA = 6  # number of values of e from which a minimum is searched
 PROPOSED = 4  # number of steps towards each minimum
 NEAR_E = 0.3  # distance to an existing value of e, in standard uncertainties, below which no value is added
 KNOWN = 0.05  # change of the density over an interval of e, as a share of the area, that needs no further value
-MOST_E = 60  # maximum number of values of e
+MOST_E = 100  # maximum number of values of e
 # largest change of e, and of the relative mass, over which slopes of one kind of motion are valid
 SAME_E, SAME_M = 0.01, 0.01
 GRID = 4001  # number of points at which the profile is interpolated
@@ -348,13 +358,22 @@ class _Held:
     theta: Real  # logarithms of the constants, in the order of `NAMES`
     nuisance: Real  # nuisance parameters, in the order of `NUISANCES`
     chi_square: float  # sum of the squared whitened residuals
-    cost: float  # −2 ln of the probability: χ², and a term for uncertainties that depend on the motion
+    misfit: float  # −2 ln of the likelihood: χ², and a term for uncertainties that depend on the motion
     jacobian: Real  # derivatives of the whitened residuals by the log constants
     bent: Real  # their derivatives by the nuisance parameters
     by_e: Real  # their derivatives by e
     residual: Real  # whitened residuals, those of the prior knowledge included
     motions: Mapping[float, SettledMotion]  # simulated motion by gap [m]
     converged: bool  # whether the last step of the fit was small
+
+    @functools.cached_property
+    def cost(self) -> float:
+        """−2 ln of the probability of this e: the integral of the likelihood over constants and nuisance parameters.
+
+        The likelihood is a normal distribution of them. A motion with a large uncertainty makes it lower, but wider.
+        """
+        whole = np.concatenate([np.concatenate([self.jacobian, self.bent], axis=1), _damping(self.bent)])
+        return self.misfit + 2.0 * float(np.log(np.abs(np.diag(np.linalg.qr(whole, mode="r")))).sum())
 
     def covariance(self) -> Real:
         """Return the covariance matrix of the log constants if e is fixed, shape (7, 7)."""
@@ -518,9 +537,9 @@ class _Profile:
                 if size < (SMALL if all(motion.repeats for motion in here.motions.values()) else SCATTERED):
                     return attrs.evolve(here, converged=True)
                 new = self._at(e, here.theta + change, here.nuisance + along)
-                if new.cost > here.cost:  # a step across a jump of the motion, or too large a step
+                if new.misfit > here.misfit:  # a step across a jump of the motion, or too large a step
                     new = self._at(e, here.theta + 0.3 * change, here.nuisance + 0.3 * along)
-                    if new.cost > here.cost:  # a step that ends just before a jump
+                    if new.misfit > here.misfit:  # a step that ends just before a jump
                         return attrs.evolve(here, converged=True)
                 here = new
         except (SimulationError, ConfigError):
@@ -576,7 +595,7 @@ class _Profile:
             change = step * np.eye(len(NAMES) + 1)[i]
             return self._place(gap_m, theta + change[:-1], gain, e + float(change[-1]))
 
-        slopes, rough = here.slopes(neighbour, len(NAMES) + 1, force, NAMES.index("m_1"))
+        slopes, rough = here.slopes(neighbour, len(NAMES) + 1, force, (NAMES.index("m_1"), len(NAMES)))
         self._slopes[gap_m].append((e, factor, kind, slopes, rough))
         return motion, slopes, rough
 

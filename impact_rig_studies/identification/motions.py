@@ -16,13 +16,13 @@
 If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`). Then single returns of
 the map suffice, and their multipliers show whether the orbit is stable. If the motion does not repeat, its mean over
 many cycles is compared with a measurement. The mean has a standard uncertainty, from the scatter of batches of cycles,
-and its derivatives are quotients of coarse differences.
+and its derivatives are those of a plane through its values at neighbours.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +39,11 @@ from impact_rig_studies.maps.plan import CURRENT
 SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)  # stricter than for maps: for derivatives
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
 BATCHES, BATCH_CYCLES = 10, 48  # number of batches over which an irregular motion is averaged, and cycles in each
-COARSE = 0.01  # relative step of the difference quotients for such a motion
+AROUND = 0.01 * np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0])
+"""Changes of a parameter to the neighbours of such a motion, through which its derivatives are fitted.
+
+There are so many of them because their scatter is the roughness: from few, it is often far too small.
+"""
 
 
 class SettledMotion(NamedTuple):
@@ -109,18 +113,19 @@ class SettledRig:
         self.motion = SettledMotion(math.log(dt) - _log_dt(place), u, found.regime, seen, found.period, impacts)
 
     def slopes(
-        self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, mass: int
+        self, neighbour: Callable[[int, float], Place], count: int, amplitude: int, others: Sequence[int]
     ) -> tuple[Real, float]:
-        """Return the derivatives of `motion.log_ratio` by logarithmic parameters, and the roughness of this function.
+        """Return the derivatives of `motion.log_ratio` by parameters, and the roughness of this function.
 
         The mean of an irregular motion changes by jumps with any parameter. The roughness is the standard deviation of
-        log_ratio about its linear dependence due to such jumps; it is 0 for a stable orbit. This advances the rig.
+        the difference of two values of log_ratio from its linear dependence due to such jumps: the measured motion and
+        the simulated one both lie off the line. It is 0 for a stable orbit. This advances the rig.
 
         Args:
             neighbour: `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
             count: number of parameters.
             amplitude: index of the parameter that multiplies the current.
-            mass: index of the parameter that multiplies the mass of the superior base.
+            others: indices of the parameters that change the motion otherwise than by the amplitude of the base.
 
         Returns:
             The derivatives, shape (count,), and the roughness.
@@ -136,15 +141,15 @@ class SettledRig:
                 found = None
             if found is not None and found.stable:
                 return found.by - _closed_form(neighbour, self.place, count, _log_dt), 0.0
-        # Mean of an irregular motion: by amplitude and mass, through which the other constants act.
-        around = np.array(
-            [[SettledRig(neighbour(i, step)).motion.log_ratio for step in (COARSE, -COARSE)] for i in (amplitude, mass)]
-        )
-        by_amplitude, by_mass = (around[:, 0] - around[:, 1]) / (2.0 * COARSE)
-        by = by_amplitude * _closed_form(neighbour, self.place, count, _log_base)
-        by[mass] = by_mass
-        off = around.mean(axis=1) - self.motion.log_ratio  # of variance 3/2 if all three values scatter alike
-        return np.asarray(by), math.sqrt(float(np.mean(off**2)) / 1.5)
+        # Mean of an irregular motion: a plane through the values at its neighbours.
+        changed = [amplitude, *others]
+        steps = np.vstack([np.zeros(len(changed)), *(step * np.eye(len(changed)) for step in AROUND)])
+        near = [SettledRig(neighbour(i, step)).motion.log_ratio for step in AROUND for i in changed]
+        plane = np.column_stack([steps, np.ones(len(steps))])
+        slopes, squares, _, _ = np.linalg.lstsq(plane, np.array([self.motion.log_ratio, *near]))
+        by = slopes[0] * _closed_form(neighbour, self.place, count, _log_base)
+        by[list(others)] = slopes[1:-1]
+        return np.asarray(by), math.sqrt(2.0 * float(squares[0]) / (len(plane) - plane.shape[1]))
 
 
 _STEP = 1e-6
