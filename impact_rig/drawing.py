@@ -75,11 +75,7 @@ DARK: Mapping[str, str] = {
 
 TAG = re.compile("<[^>]*>")
 """Pattern of a tag in an SVG by matplotlib, which escapes the angle brackets of texts."""
-WIDTH_INCH = 4.4
-"""Usual width of a drawing, about that of a phone, on which its text of 9 pt is then legible without enlarging.
-
-Wide pages show several drawings next to each other.
-"""
+WIDTH_INCH = 4.4  # usual width of a drawing, about that of a phone, on which its text of 9 pt is then legible
 WIDE_INCH = 7.2  # width of a drawing with a page, or a file, of its own
 PIXELS_PER_INCH = 160
 DIGITS = 9  # digits of numbers in the CSV of a drawing: more than any screen shows

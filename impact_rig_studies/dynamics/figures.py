@@ -43,12 +43,7 @@ _SPHERE = "sphere at the section (mm)"
 def drawn(plan: Plan, found: Found) -> Drawn:
     """Draw the results of a study as the diagram of its kind, such as a bifurcation diagram.
 
-    Args:
-        plan: the study.
-        found: rows of results of each of its tasks; tasks without rows leave gaps in the diagram.
-
-    Returns:
-        The figure with its file name and a text that describes it.
+    `found` contains the rows of results of each task; tasks without rows leave gaps in the diagram.
     """
     draw, panels, what = _DRAWERS[plan.kind]
     with style():
@@ -61,13 +56,7 @@ def drawn(plan: Plan, found: Found) -> Drawn:
 
 
 def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
-    """Return the numbers of one column of a study's rows, shape (number of rows,).
-
-    Args:
-        plan: the study, which defines the order of the columns.
-        rows: rows of results.
-        name: name of the column, one of `plan.columns`.
-    """
+    """Return the numbers in the column `name` (one of `plan.columns`) of rows of results, shape (number of rows,)."""
     place = plan.columns.index(name)
     return np.array([row[place] for row in rows], float)
 
@@ -198,19 +187,15 @@ def draw_branch(
 def _continue(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
     label, factor = label_of(plan.over)
     events = plan.columns.index("event")
-    marked: set[str] = set()
-    for i, (task, rows) in enumerate(found):
-        for pane, quantity in zip(panes, ("dt", "loss_factor"), strict=True):
+    for pane, quantity in zip(panes, ("dt", "loss_factor"), strict=True):
+        for i, (task, rows) in enumerate(found):
             draw_branch(pane, plan, rows, quantity, SERIES[i], task.name)
-            for row in rows:
-                event = str(row[events])
-                if event in MARKS:
-                    new = event not in marked and pane is panes[0]
-                    marked |= {event} if new else set()
-                    pane.plot(
-                        factor * column(plan, [row], plan.columns[0]), column(plan, [row], quantity), MARKS[event],
-                        color=INK, fillstyle="none", linestyle="none", label=event if new else None,
-                    )  # fmt: skip
+        for event, mark in MARKS.items():  # after all branches, so that the legend lists them last
+            if marked := [row for _, rows in found for row in rows if row[events] == event]:
+                pane.plot(
+                    factor * column(plan, marked, plan.columns[0]), column(plan, marked, quantity), mark, color=INK,
+                    fillstyle="none", linestyle="none", label=event,
+                )  # fmt: skip
     panes[0].set(ylabel="DT (-)")
     panes[1].set(xlabel=label, ylabel="loss factor (-)")
 

@@ -196,9 +196,7 @@ class FinishedStudy:
 def _front(task: StudyTask, number: int) -> dict[str, object]:
     """Return the values that identify a task in a table of all tasks, by name of the column, see `table`.
 
-    Args:
-        task: the task.
-        number: number of the task in its plan, from 1.
+    `number` is that of the task in its plan, from 1.
     """
     if task.kind == BASIN:
         return {}
@@ -429,12 +427,7 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
     """Read the starts of the sphere from a section of the file; without any, the sphere starts at the left wall.
 
-    Args:
-        kind: key of the section.
-        given: the section.
-
-    Returns:
-        Words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
+    They are words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
 
     Raises:
         ConfigError: a start is neither such a word nor a pair of numbers within ±100.
@@ -466,14 +459,8 @@ def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
 def _points(rig: MapRig, place: Place, cycles: int, turn: float) -> list[list[float]]:
     """Continue the motion of a rig, and return its state once per cycle with the columns `POINT`.
 
-    Args:
-        rig: the rig, driven with a whole number of cycles so far.
-        place: its drive.
-        cycles: number of cycles.
-        turn: phase of the drive at which the state is taken, in turns.
-
-    Returns:
-        One point per cycle; an empty list if the motion cannot be simulated.
+    `turn` is the phase of the drive, in turns, at which the state is read. The list is empty if the motion cannot be
+    simulated.
     """
     try:
         motion = rig.run_cycles(place.frequency_hz, place.amplitude, cycles)
@@ -559,12 +546,7 @@ def _continue(
 def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) -> tuple[Stroboscope, orbits.Orbit]:
     """Return the periodic orbit to which the motion from a start settles, and the map of which it is a fixed point.
 
-    Args:
-        task: the task, with rig and drive.
-        over: name of the parameter of the map.
-        value: value of the parameter.
-        start: start of the sphere.
-        unit: change of the parameter for one dimensionless step of the map.
+    The parameter `over` of the map has the value `value`, and changes by `unit` for one dimensionless step.
 
     Raises:
         SimulationError: there is no such orbit; the message is the reason.
@@ -589,11 +571,7 @@ def _without_orbit(value: float, reason: SimulationError) -> Row:
 
 
 def without_results(found: Found) -> list[str]:
-    """Return one line for each start whose motion gives no section or no orbit, with the start and the reason.
-
-    Args:
-        found: tasks of a study with their rows of results.
-    """
+    """Return one line for each start whose motion gives no section or no orbit, with the start and the reason."""
     lines = []
     for task, rows in found:
         if task.kind in (ORBIT, CONTINUE) and rows and str(rows[0][1]).startswith(NO_ORBIT):
@@ -680,10 +658,8 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
     """Return the distance of a state from the nearest state of an attractor, as the largest scaled difference.
 
-    Args:
-        state: values of `Simulation.state`.
-        attractor: a periodic motion, see `_attractors`.
-        scale: size of the motion in each value, by which the differences are divided.
+    `attractor` is a periodic motion from `_attractors`. The differences are divided by `scale`, the size of the motion
+    in each value of `Simulation.state`.
     """
     states = np.array(attractor[3:], float).reshape(-1, len(state))
     return float(np.abs((states - state) / scale).max(axis=1).min())

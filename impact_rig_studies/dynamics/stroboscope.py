@@ -147,22 +147,17 @@ class Stroboscope:
         return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
-        """Return the coordinates of the motion after `returns` times `cycles` cycles of the drive, shape of z.
+        """Return the coordinates that follow z, at the dimensionless parameter p, after `returns` returns of the map.
 
+        One return takes `cycles` cycles of the drive. The result has the shape of z, (n,).
         They are NaN if the sphere is then in contact with a wall, if the motion cannot be simulated, or if an impact
         occurs in a motion that had none when the coordinates were chosen.
-
-        Args:
-            z: coordinates at the section, shape (n,).
-            p: dimensionless parameter.
-            returns: number of returns of the map.
         """
         try:
             motion = self._run(z, p, self.cycles * returns)
-            state = None if self._quiet and len(motion.impacts) else self._simulation.state()
         except (SimulationError, ConfigError):
-            state = None
-        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+            return np.full(len(z), math.nan)
+        return np.full(len(z), math.nan) if self._quiet and len(motion.impacts) else self._coordinates()
 
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
         """Return the coordinates of a settled motion, after choosing period, scale and section of the map for it.
@@ -230,8 +225,7 @@ class Stroboscope:
             unlike `here`, is its own mirror image, else `FOLD`.
         """
         for kind, returned in ((FLIP, self._halved), (SYMMETRY, self._mirrored)):
-            there = returned(turn)
-            if there is not None and there < BORN < (returned(here) or 0.0):
+            if returned(turn) < BORN < returned(here):
                 return kind
         return FOLD
 
@@ -242,8 +236,7 @@ class Stroboscope:
         roots of those of the orbit. If the largest is negative, a deviation grows that changes its side from half to
         half: the two half periods become different, and no fold is near.
         """
-        away = self._mirrored(one) if one.kind == FOLD else None
-        if away is None or away > BORN:
+        if one.kind != FOLD or not self._mirrored(one) <= BORN:
             return one.kind
         matrix = jacobian(self._half, one.z, one.p)
         if not np.isfinite(matrix).all():
@@ -251,41 +244,41 @@ class Stroboscope:
         multipliers = np.linalg.eigvals(matrix)
         return SYMMETRY if multipliers[np.argmax(np.abs(multipliers))].real < 0.0 else FOLD
 
-    def _halved(self, one: Orbit) -> float | None:
+    def _halved(self, one: Orbit) -> float:
         """Return how far an orbit is from repeating after half of its period, as the largest coordinate difference.
 
-        Returns None if the period is an odd number of cycles, or if the sphere is in contact half a period later.
+        It is NaN if the period is an odd number of cycles, or if the sphere is in contact half a period later.
         """
         if self.cycles % 2:
-            return None
+            return math.nan
         self._run(one.z, one.p, self.cycles // 2)
-        return self._apart(one.z)
+        return float(np.abs(self._coordinates() - one.z).max())
 
-    def _mirrored(self, one: Orbit) -> float | None:
+    def _mirrored(self, one: Orbit) -> float:
         """Return how far an orbit is from its mirror image half a period later, as the largest coordinate difference.
 
-        Returns None if the period is an even number of cycles, or if the sphere is in contact half a cycle later.
+        It is NaN if the period is an even number of cycles, or if the sphere is in contact half a cycle later.
         """
-        away = np.abs(self._half(one.z, one.p) - one.z).max() if self.cycles % 2 else np.nan
-        return float(away) if np.isfinite(away) else None
+        return float(np.abs(self._half(one.z, one.p) - one.z).max()) if self.cycles % 2 else math.nan
 
     def _half(self, z: Real, p: float) -> Real:
         """Return the mirror image of the state half of an odd number of cycles after z, NaN if in contact then."""
         turn = self.turn
         try:
             self._run(z, p, 0.5)
-            state = self._simulation.state()
+            later = self._coordinates()
             self.turn = (turn + 0.5) % 1.0
-            if state is not None and self.cycles > 1:
-                self._run(state[self._free] / self.scale, p, self.cycles // 2)
-                state = self._simulation.state()
+            if self.cycles > 1 and np.isfinite(later).all():
+                self._run(later, p, self.cycles // 2)
+                later = self._coordinates()
         finally:
             self.turn = turn
-        return np.full(len(z), math.nan) if state is None else -state[self._free] / self.scale
+        return -later
 
-    def _apart(self, z: Real) -> float | None:
+    def _coordinates(self) -> Real:
+        """Return the coordinates of the present state; NaN if the sphere is in contact with a wall."""
         state = self._simulation.state()
-        return None if state is None else float(np.abs(state[self._free] / self.scale - z).max())
+        return np.full(len(self._free), math.nan) if state is None else state[self._free] / self.scale
 
     def note(self, one: Orbit) -> OrbitSummary:
         """Return the summary of an orbit whose z refers to the section and scale that the map uses now."""
@@ -427,18 +420,14 @@ class Stroboscope:
         if later == 0.0 or not np.isfinite(z).all():  # a point in a contact at an earlier section stays unknown
             return z
         self._run(z, p, later)
-        state = self._simulation.state()
         self.turn = turn
-        return np.full(len(z), math.nan) if state is None else state[self._free] / self.scale
+        return self._coordinates()
 
 
 def at(place: Place, over: str, value: float) -> Place:
-    """Return a rig and its drive with another value of one parameter.
+    """Return a rig and its drive with another value of one parameter, in its own unit.
 
-    Args:
-        place: the original rig and its drive.
-        over: name of the parameter: frequency_hz, current_a, gap_m, or a configuration value by its dotted name.
-        value: its value in its own unit.
+    The name `over` of the parameter is one that `Stroboscope` accepts.
 
     Raises:
         ConfigError: the configuration has no such number, or the value is out of range.
@@ -474,9 +463,7 @@ def _longest_flight(motion: Motion, cycles: int) -> float:
 def size(place: Place, state: Real) -> Real:
     """Return the SI size of a motion in each value of `Simulation.state`, by which coordinates are divided, shape (7,).
 
-    Args:
-        place: rig and drive of the motion.
-        state: one state of the motion, shape (7,).
+    `state` is one state of the motion, shape (7,); `place` is its rig and drive.
     """
     omega, half = _TURN * place.frequency_hz, 0.5 * place.config.barriers.gap_m
     x, b = (max(math.hypot(at, rate / omega), 1e-9) for at, rate in (state[0:2], state[2:4]))

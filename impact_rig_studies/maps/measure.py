@@ -65,6 +65,7 @@ WINDOWS, WINDOW_CYCLES = 16, 12  # number of windows of an exponent, and of cycl
 SURE = 2.0  # absolute exponent, in standard uncertainties, above which its sign counts as certain
 DEPARTURES = 10  # number of times that a motion is continued because it is leaving an unstable orbit
 _CLOSE = 0.05  # largest change per period, relative to the motion, of one that is still near the orbit it leaves
+_RISES = 4  # number of equal parts of a record from each to the next of which the changes of such a motion must grow
 LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbouring motions approach one another
 NEAR_S = TrackerSettings().wait_limit_s
 """Time [s] ahead within which a drifting sphere must reach a wall to count as one that will strike again.
@@ -213,20 +214,18 @@ class MapRig:
             return NOTHING
 
     def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
-        for _ in range(DEPARTURES):
-            reading = self._attempt(frequency_hz, amplitude, patient=True)
-            if reading is not None:
-                return reading
-        last = self._attempt(frequency_hz, amplitude, patient=False)
-        assert last is not None
-        return last
+        for _ in range(1 + DEPARTURES):
+            reading, leaving = self._attempt(frequency_hz, amplitude)
+            if not leaving:
+                break
+        return reading
 
-    def _attempt(self, frequency_hz: float, amplitude: float, *, patient: bool) -> Reading | None:
+    def _attempt(self, frequency_hz: float, amplitude: float) -> tuple[Reading, bool]:
         """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
 
         Returns:
-            The reading, or None if `patient` and the motion is leaving an unstable periodic orbit. If not patient, such
-            a motion has the regime that its record shows.
+            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, the exponent says
+            nothing about the motion that follows, so the regime is the one that amplitude and impacts show.
         """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
@@ -237,22 +236,19 @@ class MapRig:
                 found = _reading(last.last(_PART), behaviour, self._config, frequency_hz)
                 # whole for an orbit, although an impact at the border of a cycle may count on either side
                 whole = round(found.impacts_per_cycle * found.period)
-                return found._replace(impacts_per_cycle=whole / found.period)
+                return found._replace(impacts_per_cycle=whole / found.period), False
             done = len(record.cycles)
             if done >= settings.settle_cycles:
                 break
             more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # checked less often later
             record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
         recent = record.last(2 * CHUNK)
-        behaviour, drifts, sign = _behaviour(recent, settings), self._drifts(recent), 0
+        behaviour, drifts, sign, leaving = _behaviour(recent, settings), self._drifts(recent), 0, False
         if math.isfinite(behaviour.period) and not drifts:
             sign = self._parting(frequency_hz, amplitude, recent)
-            if sign > 0 and _leaves(record, frequency_hz):
-                if patient:
-                    return None
-                sign = 0
-            if sign <= 0:
-                return _reading(recent, behaviour, self._config, frequency_hz)
+            leaving = sign > 0 and _leaves(record, frequency_hz)
+            if leaving or sign <= 0:
+                return _reading(recent, behaviour, self._config, frequency_hz), leaving
         if done < _FIRST + settings.cycles:
             record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
         last = record.last(settings.cycles)
@@ -264,15 +260,12 @@ class MapRig:
             undecided = behaviour.regime is not Regime.CHAOTIC or period is not None
             if sign == 0 and undecided:
                 sign = self._parting(frequency_hz, amplitude, recent)
-                if sign > 0 and _leaves(record, frequency_hz):
-                    if patient:
-                        return None
-                    sign = 0
-            if sign > 0:
+                leaving = sign > 0 and _leaves(record, frequency_hz)
+            if sign > 0 and not leaving:
                 behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
             elif sign < 0 and period:
                 behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
-        return _reading(last, behaviour, self._config, frequency_hz)
+        return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
         """Return the sign of the largest Lyapunov exponent, for the choice of the regime.
@@ -315,12 +308,7 @@ class MapRig:
         """Advance by some drive cycles, and classify their motion as the analysis of a measurement does.
 
         It knows only the amplitude of the superior base and the impacts. A chaotic motion can therefore appear
-        periodic, if its changes from cycle to cycle are small.
-
-        Args:
-            frequency_hz: frequency of the drive.
-            amplitude: peak amplitude of the drive; A, m or V by `drive.kind`.
-            cycles: number of drive cycles.
+        periodic, if its changes from cycle to cycle are small. Arguments and errors are those of `run_cycles`.
         """
         return _behaviour(self._run(frequency_hz, amplitude, cycles), self._settings)
 
@@ -373,12 +361,12 @@ def _leaves(record: _Record, frequency_hz: float) -> bool:
     While it leaves, neighbouring motions separate at the rate at which it leaves, although it may settle later. The
     changes of a chaotic motion do not grow steadily.
     """
-    series = _series(record.last(4 * CHUNK), frequency_hz)
+    series = _series(record.last(_RISES * CHUNK), frequency_hz)
     if series is None:
         return False
     for period in range(1, LONGEST_PERIOD + 1):
         change = np.abs(series[:, period:] - series[:, :-period]).max(axis=0)
-        largest_changes = [float(part.max()) for part in np.array_split(change, 4)]
+        largest_changes = [float(part.max()) for part in np.array_split(change, _RISES)]
         if largest_changes[-1] <= _CLOSE and all(a < b for a, b in itertools.pairwise(largest_changes)):
             return True
     return False

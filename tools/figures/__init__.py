@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from tools import map_picture
 from tools.figures import animation, contacts, damping, graph, kernels, paper, rig, simulated, transmissibility
 
 COMMAND = "make figures"
@@ -44,10 +45,7 @@ BY_TOOLS: Mapping[str, tuple[str, ...]] = {
     "qualification/foreign_rig.py --draw build/foreign": ("comparison.png",),
     **{
         f"tools/map_picture.py {name}": (f"{name}.png",)
-        for name in (
-            "map_gap_frequency", "map_coexistence", "dynamics_section", "dynamics_bifurcation", "dynamics_continue",
-            "dynamics_exponent", "dynamics_basin", "dynamics_orbit", "dynamics_current",
-        )
+        for _, name in map_picture.PICTURES.values()
     },
     "qualification/prediction.py --draw": ("prediction.png",),
     "tools/urdf_picture.py": ("urdf.png",),
