@@ -264,7 +264,11 @@ class Judge:
 
     @property
     def late(self) -> bool:
-        """Return whether the next row is overdue, because the response is less regular than at the newest row."""
+        """Return whether the next row is overdue: more windows have passed since the newest row than it averaged.
+
+        An unchanged response gives a row after as many. A row is late if the response is less regular than at the
+        newest row, or while the sphere may still strike.
+        """
         return self._reported and self._since_row > self._span
 
     @property

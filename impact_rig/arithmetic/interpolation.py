@@ -16,9 +16,6 @@
     S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q)
 
 Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
-ω the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if it is a hundredth.
-
-Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
 ω on a piece of the length 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if
 it is a hundredth.
 """

@@ -15,11 +15,6 @@
 
     charge · amplifier · ω_n² / (s² + s ω_n/quality + ω_n²) · s / (s + ω_h) · Butterworth_n(ω_l)  [V per m/s²]
 
-with the charge in C per m/s² and the amplifier in V/C.
-
-A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure: its pulse is longer and lower and
-rings. The amplifier clips after its filters.
-
 with the charge in C per m/s² and the amplifier in V/C; ω_n is the mounted resonance, ω_h and ω_l the corners of
 high-pass and low-pass, n the order of the latter.
 

@@ -230,7 +230,8 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 class EnergyAccount:
     """Energies since the account began [J], each integrated independently: `imbalance` measures the integration error.
 
-    The account begins at a reset, another configuration, a pluck, or when the state is set.
+    The account begins at a reset, another configuration, a pluck, or when the state is set. Without `account`,
+    `set_state` does not begin it again.
 
     Attributes:
         work: work of the drive (coil force, coil voltage or prescribed base).
@@ -369,7 +370,8 @@ class Simulation:
         """Continue from the seven numbers of a state that `state` returned.
 
         A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. With friction of the
-        guide, a sphere at rest between the walls is ATTACHED as well, until it slips. The energy account begins again.
+        guide, a sphere at rest between the walls is ATTACHED as well, until it slips.
+        With `account`, the energy account begins again.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)

@@ -65,7 +65,7 @@ STATE = np.dtype(
         ("y", "f8", (STRUCTURE,)),  # x_1, v_1, x_b, v_b, i [m, m/s, m, m/s, A]; in a contact x_1* and v_1*, the pair's
         ("d", "f8"),  # x_2 − x_1 [m]; in a contact that at the touch
         ("d_rate", "f8"),  # rate of d [m/s]; 0 in a contact and while ATTACHED
-        ("slide", "f8"),  # direction in which the sphere slides on a guide with friction: −1, 0 or 1; at PARTED, parts
+        ("slide", "f8"),  # direction in which the sphere slides on a guide with friction, or parts at PARTED: −1, 0, 1
         ("side", "f8"),  # wall that is touched or presses: −1 left, 1 right, 0 none
         ("w", "f8"),  # in a contact √δ, the square root of the indentation [m^0.5]
         ("speed", "f8"),  # in a contact δ', the rate of the indentation [m/s], positive while it grows
@@ -96,9 +96,7 @@ LEDGER = np.dtype(
         ("friction", "f8"),  # lost by friction of the guide [J]
     ]
 )
-"""Record of the energies since the account began: at the reset, another configuration, a pluck, or when the state was
-set.
-"""
+"""Record of the energies since the account began, see `simulation.EnergyAccount`."""
 
 IMPACT = np.dtype(
     [

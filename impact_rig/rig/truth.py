@@ -42,7 +42,7 @@ _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
-    """Return the number of scans from one instant of the monitor topics to the next, so that `monitor_hz` is kept."""
+    """Return the least number of scans between two monitor instants with which `monitor_hz` is not exceeded."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
 
 
