@@ -76,7 +76,7 @@ class Accelerometer(Instrument):
     saturation_v: float = quantity(10.0, "V", "The amplifier's output clips here, either side.", above=0)
     gain_tolerance: float = quantity(0.02, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0, at_most=1)
-    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:

@@ -54,7 +54,7 @@ class Base(Instrument):
     )
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_m: float = quantity(10e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-3)
-    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
     adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:

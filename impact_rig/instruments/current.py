@@ -42,7 +42,7 @@ class Current(Instrument):
     saturation_v: float = quantity(10.0, "V", "Its output clips here, either side.", above=0)
     gain_tolerance: float = quantity(0.005, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_a: float = quantity(5e-3, "A", "Limit of the zero error.", at_least=0, at_most=1)
-    inverted: bool = switch(False, "Wired the wrong way round; the calibration does not know.")
+    inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
