@@ -13,28 +13,68 @@
 # limitations under the License.
 """Virtual test rig of an impact damper, for ROS 2 and Python.
 
-Build a rig, drive it, and print its displacement transmissibility DT:
+A shaker moves a base. An elastic structure on that base carries a loose steel
+sphere between two barriers, and the impacts of the sphere damp the vibration.
+You command the shaker, read simulated instruments, and measure the displacement
+transmissibility DT: the amplitude of the structure divided by that of its base.
 
-    import impact_rig
+    >>> import impact_rig
+    >>> rig = impact_rig.LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
+    >>> first_scan = rig.command(frequency_hz=9.1, current_a=0.52)
+    >>> rig.run(seconds=20)
+    >>> print(f"DT {rig.rows('transmissibility/table')['transmissibility'][-1]:.2f}")
+    DT 63.57
 
-    rig = impact_rig.LocalRig({"barriers.gap_m": 0.006}, analysis={"gap_m": 0.006})
-    rig.command(frequency_hz=9.1, current_a=0.52)
-    rig.run(seconds=20)
-    print(rig.rows("transmissibility/table")["transmissibility"][-1])
+`print(impact_rig.simulate(20.0))` does the same in one line.
 
-`impact_rig.simulate(20.0)` does the same in one line. The public names are:
+Simulate and drive a rig:
 
-    simulate and drive   simulate, Record, LocalRig, RosRig, Client, Rig, Fault
-    configure            RigConfig, load_config
-    measure              Tracker, TrackerSettings, transmissibility
-    read recordings      open_run, Run, info, verify, export
-    exchange tables      Table, encode, decode
-    errors               ImpactRigError, ConfigError, CommandError, CodecError,
-                         RecordingError, SimulationError, GoneError
+    simulate          simulate a run in one call, and measure DT
+    Record            readings and results of such a run
+    LocalRig          rig in this process, step by step
+    RosRig            rig over ROS topics, with the calls of `LocalRig`
+    Rig               rig without analysis and recording, at a lower level
+    Fault             fault of an instrument
 
-Each name is loaded when it is first used, so that importing this package
-loads neither rclpy nor numpy. `help(impact_rig.simulate)` describes a name,
-and the page "Python API" of the documentation shows all of them.
+Configure a rig:
+
+    load_config       read a configuration from a YAML file
+    RigConfig         configuration of a rig
+
+Measure the transmissibility:
+
+    Tracker           measurement of DT from a stream of scans
+    TrackerSettings   settings of that measurement
+    transmissibility  transmissibility without the sphere, in closed form
+
+Read recordings:
+
+    open_run          open a recorded run
+    Run               recorded run: its messages, tables and metadata
+    info              summarise a run, and check its integrity
+    verify            simulate a run again, and compare it bit for bit
+    export            write a topic to CSV, NPZ, Parquet or UFF
+
+Exchange tables and talk to nodes:
+
+    Table             rows of a topic, with a time stamp
+    encode, decode    convert a table to a ROS message, and back
+    Client            ROS node that acts as the user of a rig
+
+Errors:
+
+    ImpactRigError    base class of the others
+    ConfigError       invalid configuration value, key or file
+    CommandError      rejected command
+    CodecError        malformed message
+    RecordingError    run that cannot be written or read
+    GoneError         process that has ended
+    SimulationError   simulation that cannot continue
+
+Each name is loaded at its first use, so `import impact_rig` loads neither rclpy
+nor numpy. `help(impact_rig.simulate)` describes a name. docs/reference/api.md
+shows all of them, and docs/index.md leads to tutorials, how-to guides and the
+physics. In a shell, `impact-rig --help` lists the commands.
 """
 
 from __future__ import annotations

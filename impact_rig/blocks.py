@@ -315,7 +315,20 @@ class Table:
     Attributes:
         stamp_ns: stamp of the message in rig time [ns].
         rows: rows, shape (n,), with the topic's columns as fields in SI units; `time` is in seconds since the stamp.
-        frame_id: frame of the message.
+        frame_id: frame of the message (default: daq).
+
+    Examples:
+        >>> import impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=0.02)
+        >>> for table in rig.tables("daq/scan"):
+        ...     print(table.stamp_ns, len(table.rows), table.rows.dtype.names)
+        0 100 ('time', 'accelerometer', 'laser', 'base', 'current', 'status')
+        10000000 100 ('time', 'accelerometer', 'laser', 'base', 'current', 'status')
+
+    See Also:
+        - `encode` and `decode`: convert a table to a ROS message, and back.
+        - docs/reference/interface.md: columns of every topic.
     """
 
     stamp_ns: int

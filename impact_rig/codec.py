@@ -74,11 +74,11 @@ _BYTE = np.dtype("u1")
 
 
 def encode(table: Table, frame_prefix: str = "") -> bytes:
-    """Encode a table as a serialised `sensor_msgs/PointCloud2`.
+    """Encode a table as a serialised `sensor_msgs/PointCloud2`, the message of all table topics.
 
     Args:
-        table: table to encode, with columns of 8 to 32 bit integers, f4, f8 or `blocks.TEXT` in little-endian byte
-            order.
+        table: table to encode. Its columns are integers of 8 to 32 bits, floats of 32 or 64 bits, or texts of 32 bytes
+            (`S32`), in little-endian byte order.
         frame_prefix: text before the table's frame.
 
     Returns:
@@ -91,8 +91,11 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
         >>> import impact_rig
         >>> rig = impact_rig.Rig(impact_rig.RigConfig())
         >>> message = impact_rig.encode(rig.info())
-        >>> [str(name) for name in impact_rig.decode(message).rows["name"][:2]]
-        ["b'accelerometer'", "b'laser'"]
+        >>> print(impact_rig.decode(message).rows["name"])
+        [b'accelerometer' b'laser' b'base' b'current']
+
+    See Also:
+        - `decode`: the inverse.
     """
     rows = table.rows
     if rows.ndim != 1:
@@ -136,7 +139,8 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
 
     Args:
         data: serialised message (little-endian CDR).
-        topic: topic of the table, whose columns and values are then checked; None allows any columns and values.
+        topic: topic of the table (an entry of `impact_rig.topics`, such as `impact_rig.topics.SCAN`), whose columns and
+            values are then checked; None allows any columns and values.
         needs: further required columns, such as the channels of a scan.
 
     Returns:
@@ -145,6 +149,18 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
     Raises:
         CodecError: `data` is not a little-endian PointCloud2 with one row of points and columns as `encode` writes
             them, or not a table of `topic`; the message names the place and the reason.
+
+    Examples:
+        >>> import numpy as np, impact_rig
+        >>> rows = np.array([(0.0, 1.5), (0.1, 1.6)], [("time", "<f8"), ("level", "<f4")])
+        >>> message = impact_rig.encode(impact_rig.Table(stamp_ns=10**9, rows=rows))
+        >>> table = impact_rig.decode(message)
+        >>> table.stamp_ns, table.rows["level"].tolist()
+        (1000000000, [1.5, 1.600000023841858])
+
+    See Also:
+        - `encode`: the inverse.
+        - `Run`: reads tables from a recording.
     """
     table = _decode(data)
     return table if topic is None else checked(table, topic, needs)

@@ -34,6 +34,8 @@ def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mea
 class ImpactRigError(Exception):
     """Base class of all errors that this package raises on purpose.
 
+    The message is one line. It names the value, what is allowed and what to do.
+
     Examples:
         >>> import impact_rig
         >>> try:
@@ -45,41 +47,76 @@ class ImpactRigError(Exception):
 
 
 class ConfigError(ImpactRigError, ValueError):
-    """A configuration value, key or file is invalid.
+    """A configuration value, key or file is invalid; also a `ValueError`.
 
     The message names the key, its value, the allowed range and, if there is one, the file.
+
+    Examples:
+        >>> import impact_rig
+        >>> try:
+        ...     impact_rig.LocalRig({"barriers.gap": 0.006})
+        ... except impact_rig.ConfigError as error:
+        ...     print(error)
+        unknown key 'barriers.gap', did you mean 'barriers.gap_m'?
     """
 
 
 class CommandError(ImpactRigError, ValueError):
-    """A command was rejected.
+    """A command was rejected; also a `ValueError`.
 
     The message names the value and the allowed range. The shaker keeps its last valid state.
+
+    Examples:
+        >>> import impact_rig
+        >>> try:
+        ...     impact_rig.LocalRig().command(frequency_hz=1000.0)
+        ... except impact_rig.CommandError as error:
+        ...     print(error)
+        frequency must be >= 5 and <= 200 Hz, got 1000 Hz
     """
 
 
 class CodecError(ImpactRigError, ValueError):
-    """Bytes are not the message that they should be.
+    """Bytes are not the message that they should be; also a `ValueError`.
 
     The message names the part of the message and the reason.
+
+    Examples:
+        >>> import impact_rig
+        >>> try:
+        ...     impact_rig.decode(b"")
+        ... except impact_rig.CodecError as error:
+        ...     print(error)
+        a message with a header has at least 12 bytes, got 0
     """
 
 
 class RecordingError(ImpactRigError, OSError):
-    """A run cannot be written or read.
+    """A run cannot be written or read; also an `OSError`.
 
     Data that were already on disk are not changed. The message names the file.
+
+    Examples:
+        >>> import impact_rig
+        >>> try:
+        ...     impact_rig.open_run("missing")
+        ... except impact_rig.RecordingError as error:
+        ...     print(error)
+        missing does not exist, or is neither a run directory nor an MCAP file
     """
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A process of a rig, analysis or recorder that this program uses has ended, so that it cannot answer a request."""
+    """A process of a rig, analysis or recorder that this program uses has ended; also a `RuntimeError`.
+
+    It cannot answer any request. The message names the process.
+    """
 
 
 class SimulationError(ImpactRigError, RuntimeError):
-    """The simulation cannot continue.
+    """The simulation cannot continue; also a `RuntimeError`.
 
-    The cause is a defect of the model or its tolerances, never a user's command.
+    The cause is a defect of the model or its tolerances, never a user's command. Please report it.
     """
 
 

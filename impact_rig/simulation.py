@@ -47,24 +47,39 @@ DRIVE_A = 0.52  # peak, as in the paper's measurements
 
 @attrs.frozen(eq=False, repr=False)
 class Record:
-    """Readings of a simulated rig, and the results derived from them.
+    """Readings of a simulated rig, and the results derived from them; `simulate` returns it.
+
+    Times count from the start of the run. docs/reference/interface.md describes every column.
 
     Attributes:
         config: configuration of the rig.
-        scans: columns of `daq/scan` (docs/reference/interface.md) in SI units, `time` [s] since the start; shape (n,).
-            Scans withheld by a `lost_block` fault are missing.
-        state: state of the measurement at the end: settling, measuring, ...
-        measurements: rows of `transmissibility/table`, the newest last; empty before the first window is full.
-        impact_times: times of the impacts that the analysis found in the acceleration [s], shape (k,).
-        truth: rows of `truth/impacts`, `time` [s] since the start: the true impacts.
+        scans: readings, a structured array of shape (n,): `time` [s], `accelerometer` [m/s²], `laser` [m] (displacement
+            of the structure), `base` [m], `current` [A] and `status` (bits of channels over range). Scans withheld by a
+            `lost_block` fault are missing.
+        state: state of the measurement at the end. `state.word` is settling, measuring, ...; `state.reason` says why
+            there is no DT.
+        measurements: rows of `transmissibility/table`, shape (m,), the newest last: `transmissibility`, `phase` [rad],
+            their standard uncertainties, `impacts_per_cycle` and more. It is empty before the first measurement, which
+            takes about 12 s.
+        impact_times: times [s] of the impacts that the analysis found in the acceleration, shape (k,).
+        truth: true impacts, shape (j,), rows of `truth/impacts`: `time` [s], `approach_speed` [m/s], `peak_force` [N]
+            and more. The analysis does not see them.
 
     Examples:
         >>> import impact_rig
         >>> record = impact_rig.simulate(20.0)
-        >>> print(record)
-        DT 63.57 ± 0.32 (2u) at 9.1 Hz
+        >>> dt, standard_uncertainty = record.transmissibility
+        >>> print(f"{dt:.2f}, standard uncertainty {standard_uncertainty:.2f}")
+        63.57, standard uncertainty 0.16
         >>> record.scans["laser"].shape
         (200000,)
+        >>> record.impact_times.shape
+        (704,)
+        >>> figure = record.plot("traces.png")
+
+    See Also:
+        - `simulate`: returns a record.
+        - `open_run`: reads a recorded run.
     """
 
     config: RigConfig
@@ -76,7 +91,7 @@ class Record:
 
     @property
     def transmissibility(self) -> tuple[float, float]:
-        """DT and its standard uncertainty, from the newest row of `measurements`; NaN where that has no value."""
+        """DT and its standard uncertainty [both 1], from the newest measurement; NaN without a measurement."""
         row = self.measurements[-1] if len(self.measurements) else np.full((), np.nan, TRANSMISSIBILITY)
         return float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
 
@@ -87,10 +102,16 @@ class Record:
         return f"DT {plus_minus(value, u)} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Draw base, structure and acceleration in the newest half second against time, and return the figure.
+        """Draw base, structure and acceleration in the last half second against time.
 
         Args:
-            path: file to write as well, in the format of its suffix; None writes none.
+            path: file to write as well, in the format of its suffix (.png, .svg, .pdf, …); None writes none.
+
+        Returns:
+            The figure.
+
+        Raises:
+            ValueError: matplotlib does not know the suffix.
         """
         times = self.scans["time"]
         rows = (
@@ -105,25 +126,43 @@ class Record:
 
 
 def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> Record:
-    """Simulate a rig from rest, driven from the start, and measure its displacement transmissibility DT.
+    """Simulate a rig from rest, and measure its displacement transmissibility DT.
 
-    The drive is that of the paper, 0.52 A at 9.1 Hz, unless `parameters` set another.
+    DT is the amplitude of the structure divided by that of its base, both at the drive frequency. It is measured from
+    the readings of the simulated instruments, as on a real rig. The rig is that of the paper: M. Vieira de Albuquerque
+    and R. Pederiva, "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model".
+    The same arguments give the same bits on every machine.
 
     Args:
-        seconds: rig time [s], at least one block (10 ms) and at most an hour.
-        parameters: configuration values that differ from the paper's rig, by full name, as in
-            docs/reference/configuration.md.
+        seconds: rig time [s], from one block of scans (10 ms) to 3600. The first measurement ends after about
+            12 s; a shorter run has no DT.
+        parameters: configuration values that differ from the paper's rig, `section.key` -> value, as in
+            docs/reference/configuration.md. Without values of the section `drive`, the drive is that of the paper: a
+            sine of 9.1 Hz and 0.52 A peak.
 
     Returns:
-        The readings and measurements; `record.transmissibility` is DT with its standard uncertainty.
+        The readings and the measurements. `record.transmissibility` is DT with its standard uncertainty.
 
     Raises:
-        ConfigError: a key is unknown, a value is out of range, or the duration is.
+        ConfigError: a key is unknown, or a value or the duration is out of range.
 
     Examples:
+        The paper's rig with a gap of 6 mm between sphere and barriers, and with none at all:
+
         >>> import impact_rig
         >>> print(impact_rig.simulate(20.0, {"barriers.gap_m": 0.006}))
         DT 63.57 ± 0.32 (2u) at 9.1 Hz
+        >>> print(impact_rig.simulate(20.0, {"sphere.present": False}))
+        DT 110.71 ± 0.55 (2u) at 9.1 Hz
+
+        Another frequency and current:
+
+        >>> print(impact_rig.simulate(20.0, {"drive.frequency_hz": 8.0, "drive.amplitude": 0.3}))
+        DT 4.520 ± 0.026 (2u) at 8 Hz
+
+    See Also:
+        - `LocalRig`: accepts commands while the rig runs.
+        - `transmissibility`: DT without the sphere, in closed form.
     """
     if not 0.0 < seconds <= LONGEST_S:
         raise ConfigError(f"seconds must be above 0 and at most {LONGEST_S:g} s of rig time, got {seconds!r}")

@@ -15,12 +15,17 @@
 
 from __future__ import annotations
 
+import builtins
+import inspect
+import pkgutil
 import re
 from pathlib import Path
 
 import impact_rig
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "api.md"
+DESCRIBED_ELSEWHERE = {"TrackerSettings"}
+"""Names whose fields docs/reference/configuration.md describes."""
 
 
 def test_the_page_of_the_api_shows_exactly_the_public_names() -> None:
@@ -37,3 +42,65 @@ def test_every_public_name_is_there_and_has_a_docstring() -> None:
 
 def test_the_first_look_is_the_papers_rig_at_resonance() -> None:
     assert str(impact_rig.simulate(20.0)).startswith("DT 63.57 ± 0.32 (2u) at 9.1 Hz")
+
+
+def documented() -> list[tuple[str, object]]:
+    """Return each public name, and each public function or property of a public class, with its full name."""
+    found: list[tuple[str, object]] = []
+    for name in impact_rig.__all__:
+        one = getattr(impact_rig, name)
+        found.append((name, one))
+        if isinstance(one, type) and not issubclass(one, Exception):
+            members = {key: inspect.getattr_static(one, key) for key in dir(one) if not key.startswith("_")}
+            found += [
+                (f"{name}.{key}", getattr(one, key) if isinstance(value, classmethod) else value)
+                for key, value in members.items()
+                if isinstance(value, property | classmethod) or inspect.isfunction(value)
+            ]
+    return found
+
+
+def text_of(one: object) -> str:
+    return inspect.getdoc(one) or ""
+
+
+def test_every_parameter_is_described() -> None:
+    """A reader of `help` need not open the source to learn what to pass."""
+    missing = [
+        f"{name}: {parameter}"
+        for name, one in documented()
+        if callable(one) and not name.endswith("Error") and name not in DESCRIBED_ELSEWHERE
+        for parameter in inspect.signature(one).parameters
+        if parameter != "self" and not re.search(rf"^    {parameter}: ", text_of(one), re.MULTILINE)
+    ]
+    assert not missing
+
+
+def test_every_name_points_to_its_relatives() -> None:
+    names = set(impact_rig.__all__) - DESCRIBED_ELSEWHERE
+    alone = [name for name in names if "\nSee Also:\n" not in text_of(getattr(impact_rig, name))]
+    assert [name for name in alone if not name.endswith("Error")] == []
+
+
+def test_what_a_docstring_names_can_be_looked_up() -> None:
+    """Classes and errors are public, builtin or given by their full name, and pages exist."""
+    known, unknown = {*impact_rig.__all__, *vars(builtins)}, []
+    for name, one in documented():
+        text = text_of(one)
+        classes = set(re.findall(r"`([A-Z][a-z]+[A-Z]\w*)\b", text)) - known
+        pages = {page for page in re.findall(r"\bdocs/[\w/-]+\.md", text) if not (PAGE.parents[2] / page).exists()}
+        raised = re.search(r"^Raises:\n((?:    .*\n?|\n)+)", text, re.MULTILINE)
+        errors = set(re.findall(r"^    ([\w.]+): ", raised[1] if raised else "", re.MULTILINE))
+        errors = {error for error in errors - known if not is_in_python(error)}
+        unknown += [f"{name}: {what}" for what in (*classes, *pages, *errors)]
+    assert not unknown
+
+
+def is_in_python(name: str) -> bool:
+    """Return whether a name with dots can be imported."""
+    return "." in name and isinstance(pkgutil.resolve_name(name), type)
+
+
+def test_help_on_the_package_says_what_each_name_is_for() -> None:
+    for name in impact_rig.__all__:
+        assert re.search(rf"^    (?:\w+, )?{name}(?:, \w+)?  +\w", impact_rig.__doc__ or "", re.MULTILINE), name

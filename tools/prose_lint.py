@@ -120,7 +120,7 @@ class Finding:
 # --- Sentences --------------------------------------------------------------------------------------------------------
 def sentences(text: str) -> Iterator[str]:
     """Yield the sentences of prose; inline code counts as one word, indented blocks and lists end a sentence."""
-    text = re.sub(r"\n\n(?: {4}.*\n?)+", "\n\n", text)  # without literal blocks
+    text = re.sub(r"\n(?:\n(?: {4}.*\n?)+)+", "\n\n", text)  # without literal blocks
     text = re.sub(r"``?[^`]+``?", "Code", text)
     for paragraph in re.split(r"\n\s*\n|\n\s*(?:[-*|]|\d+\.)\s|\n\s+\w+(?:, \w+)*: ", text):
         yield from (part for part in SENTENCE.split(" ".join(paragraph.split())) if part)

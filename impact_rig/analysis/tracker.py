@@ -104,8 +104,9 @@ class Tracker:
     """Streaming measurement of transmissibility and impacts, in constant memory.
 
     Pass it the tables of the rig as they arrive: `daq/info` to `configure`, `shaker/applied` to `on_applied` and
-    `daq/scan` to `feed`, which returns new results. It measures when the response has settled, and gives a reason when
-    it cannot.
+    `daq/scan` to `feed`, which returns new results. It fits a sine with harmonics to each drive cycle, waits until the
+    response has settled, and then gives DT with its uncertainty, or the reason why it cannot.
+    docs/explanation/analysis.md describes the method and its sources.
 
     Args:
         settings: settings of the measurement; None means the defaults.
@@ -119,13 +120,21 @@ class Tracker:
         >>> rig, tracker = impact_rig.Rig(impact_rig.RigConfig()), impact_rig.Tracker()
         >>> tracker.configure(rig.info())
         >>> tracker.on_applied(rig.accept(9.1, 0.52))
-        >>> results = [tracker.feed(block.scan) for block in rig.advance(2 * 10**9)]
-        >>> print(tracker.state.word)
-        settling
+        >>> rows = [
+        ...     table.rows[0]
+        ...     for block in rig.advance(20 * 10**9)
+        ...     for table in tracker.feed(block.scan).measurements
+        ... ]
+        >>> print(f"DT {rows[-1]['transmissibility']:.2f} ± {2 * rows[-1]['transmissibility_uncertainty']:.2f}")
+        DT 63.57 ± 0.32
+
+    See Also:
+        - `TrackerSettings`: windows, tolerances and limits.
+        - `LocalRig`: runs a tracker if it is given `analysis`.
     """
 
     def __init__(self, settings: TrackerSettings | None = None, impact_settings: ImpactSettings | None = None) -> None:
-        self.counters = Counters()
+        self.counters: Counters = Counters()
         self._settings = settings or TrackerSettings()
         self._impact_settings = impact_settings or ImpactSettings()
         self._calibration: Calibration | None = None
@@ -161,9 +170,12 @@ class Tracker:
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Register a table `daq/info`: its calibration acts from its stamp on, and it gives the time of scan 0.
+        """Register the calibration; it acts from the table's stamp on.
 
-        Another time of scan 0 means that the rig was reset: scans from then on are measured as a new record.
+        A new time of scan 0 in it means that the rig was reset: scans from then on are measured as a new record.
+
+        Args:
+            info: a table `daq/info`, one row per channel.
 
         Raises:
             ConfigError: the table is invalid, such as one that lists a channel twice.
@@ -195,7 +207,10 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Register a table `shaker/applied`: the drive of each row acts from the stamp of the table plus its `time` on.
+        """Register commands to the drive.
+
+        Args:
+            applied: a table `shaker/applied`; each row acts from the stamp of the table plus its `time` on.
 
         Raises:
             ConfigError: the table is invalid, or its times are not numbers.
@@ -208,11 +223,23 @@ class Tracker:
             self._schedule(instant, _Command(float(row["frequency"]), float(row["current"])))
 
     def label(self, gap_m: float, stamp_ns: int) -> None:
-        """Register the operator's label of the gap [m] (0 = no sphere, NaN = unknown), from a rig time on."""
+        """Register the operator's label of the gap, which the rows of the measurement state.
+
+        Args:
+            gap_m: gap [m]; 0 = no sphere, NaN = unknown.
+            stamp_ns: rig time from which the label applies [ns].
+        """
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process the next block of `daq/scan`, and return the new measurements and impacts; blocks arrive in order.
+        """Process the next block of scans; blocks arrive in order.
+
+        Args:
+            scan: a table `daq/scan`.
+
+        Returns:
+            New results: `measurements`, tables `transmissibility/table` of one row each, and `impacts`, tables of the
+            impacts detected. Both are often empty.
 
         Raises:
             ConfigError: the table is invalid.
@@ -260,7 +287,10 @@ class Tracker:
 
     @property
     def progress(self) -> Progress | None:
-        """Progress towards the first row after the last change; None without a drive frequency that can be measured."""
+        """Progress towards the first row after the last change; None without a drive frequency that can be measured.
+
+        It counts `windows` of the `needed` ones. `reason` says why a sphere delays the row; it is empty if none does.
+        """
         if self._accumulator is None:
             return None
         progress, quiet = self._judge.progress, self._quiet(self._measured - 1)
@@ -271,14 +301,20 @@ class Tracker:
 
     @property
     def state(self) -> TrackerState:
-        """Present state of the measurement, its reason, and the rig time at which it began."""
+        """Present state: `word` (settling, measuring, …), `reason`, and `since_ns`, the rig time of its begin [ns]."""
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
-        """Measure the scans that are still delayed, because the record ends, and return the last rows.
+        """Measure the scans that are still delayed, because the record ends.
 
-        A row that waits for a sphere to strike is given at once. With `take_unsettled`, a record that ends before its
-        first row gives one row of all its cycles, with the status `not_settled`.
+        A row that waits for a sphere to strike is given at once.
+
+        Args:
+            take_unsettled: whether a record that ends before its first row gives one row of all its cycles, with the
+                status `not_settled`.
+
+        Returns:
+            The last results, as from `feed`.
         """
         if self._started:
             self._advance(self._buffer.end)

@@ -299,8 +299,9 @@ class ServiceFailedError(ImpactRigError, RuntimeError):
 class Client:
     """ROS node that acts as the user of a rig: it commands, calls services, sets parameters and receives topics.
 
-    It is a context manager, and receives messages only while it waits. Every wait has a time limit, and ends with an
-    error if a watched node process ends.
+    It receives messages only while it waits. Every wait has a time limit, and ends with an error if a watched node
+    process ends. `Client(namespace="/rig")` connects to a rig that runs elsewhere in this ROS domain. Used as a context
+    manager, it calls `close` at the end. It needs ROS 2.
 
     Args:
         domain_id: ROS domain of the rig; None means that of this process, `ROS_DOMAIN_ID`.
@@ -309,11 +310,23 @@ class Client:
         name: name of this node, and the name in the acknowledgements that it sends.
         commands: whether `command` will be called; the client then keeps all changes of the drive that the rig applies.
 
+    Attributes:
+        node: the `rclpy` node.
+        applied: changes of the drive that the rig has applied, if `commands` is true.
+        diagnostics: latest diagnostics of each node, by name.
+
     Examples:
         >>> import impact_rig
         >>> with impact_rig.RosRig(hosted=True) as rig:
-        ...     rig.client.get_parameters("rig", ["barriers.gap_m"])
-        {'barriers.gap_m': 0.006}
+        ...     client = rig.client
+        ...     print(client.state("rig"), client.get_parameters("rig", ["barriers.gap_m"]))
+        ...     print(client.command(frequency_hz=9.1, current_a=0.52)["frequency"])
+        active {'barriers.gap_m': 0.006}
+        9.1
+
+    See Also:
+        - `RosRig`: starts a rig, and drives it with the calls of `LocalRig`.
+        - docs/reference/interface.md: topics, services and parameters of the nodes.
     """
 
     def __init__(
@@ -332,7 +345,7 @@ class Client:
         self.context.init(args=[], domain_id=self.domain_id)
         self.executor = make_executor(self.context)
         with patient_threads():
-            self.node = Node(
+            self.node: Node = Node(
                 name, namespace=namespace, context=self.context, use_global_arguments=False, enable_rosout=False
             )
         self.executor.add_node(self.node)
@@ -347,7 +360,7 @@ class Client:
         self._knows_past = False  # whether all commands applied before this client started have arrived
         self._clients: dict[tuple[str, Any], Any] = {}
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
-        self.applied = Collector(topics.APPLIED)
+        self.applied: Collector = Collector(topics.APPLIED)
         """Changes of the drive that the rig has applied (`shaker/applied`); it stays empty without `commands`."""
         if commands:
             self.subscribe(topics.APPLIED, self.applied.take, raw=True)
@@ -378,17 +391,20 @@ class Client:
         timeout_s: float = DEFAULT_TIMEOUT_S,
         check: Check = patiently,
     ) -> T:
-        """Run callbacks until `condition()` is true, and return its value.
+        """Run callbacks until a condition is true.
 
         Args:
-            condition: evaluated before each callback.
+            condition: function without arguments, called before each callback.
             what: what is awaited, for the error message.
             timeout_s: longest wait [s]; time in which a callback of a hosted node is busy does not count.
             check: called before each callback; raises an error if the wait has become pointless, see `given`.
 
+        Returns:
+            The value of the condition.
+
         Raises:
-            WaitTimeoutError: the condition did not become true in time.
-            ProcessDiedError: a watched process ended.
+            TimeoutError: the condition did not become true in time.
+            GoneError: a watched process ended.
         """
         deadline = self._spinner.waited_s() + timeout_s
         while not (found := condition()):
@@ -401,7 +417,7 @@ class Client:
         return found
 
     def given(self, what: str, rig: str = "rig", *, may_be_silent: bool = False) -> Check:
-        """Return a check for `wait_until` that raises `RigGoneError` once the rig that runs now is gone or replaced.
+        """Return a check for `wait_until` that raises a `GoneError` once the rig that runs now is gone or replaced.
 
         Args:
             what: what the rig was asked to do, for the message.
@@ -425,9 +441,12 @@ class Client:
             self._spinner.spin(0.0)
 
     def spin_for(self, duration_s: float) -> None:
-        """Run callbacks for a duration of wall time [s].
+        """Run callbacks for a duration of wall time.
 
         Meant for benchmarks and demonstrations; tests wait for a condition.
+
+        Args:
+            duration_s: duration [s].
         """
         deadline = time.monotonic() + duration_s
         while (left := deadline - time.monotonic()) > 0:
@@ -436,11 +455,15 @@ class Client:
             self._spinner.spin(min(left, SPIN_S))
 
     def wait_active(self, *nodes: str, timeout_s: float = START_TIMEOUT_S) -> None:
-        """Wait until these nodes are in the lifecycle state `active`.
+        """Wait until nodes are in the lifecycle state `active`.
+
+        Args:
+            nodes: node names.
+            timeout_s: time limit [s], by default 240: a rig may have to compile its physics.
 
         Raises:
-            WaitTimeoutError: a node was not active within `timeout_s`.
-            ServiceFailedError: a node reports that it cannot be configured; the message says why.
+            TimeoutError: a node was not active in time.
+            ImpactRigError: a node reports that it cannot be configured; the message says why.
         """
         for node in nodes:
             is_active = functools.partial(self._is_active, node, timeout_s)
@@ -456,7 +479,7 @@ class Client:
             self._matched.clear()
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Create a node in this process, run it in this client's executor, ROS context and namespace, and return it.
+        """Create a node in this process, and run it in this client's executor, ROS context and namespace.
 
         No thread is started: the node works only while the client waits. If `make_node` accepts no keyword arguments
         for `Node`, the node gets the context as rclpy's default one, and no namespace.
@@ -464,6 +487,9 @@ class Client:
         Args:
             make_node: class or function that creates the node.
             kwargs: its arguments.
+
+        Returns:
+            The node.
         """
         if any(one.kind is one.VAR_KEYWORD for one in inspect.signature(make_node).parameters.values()):
             namespace = self.node.get_namespace()
@@ -475,7 +501,11 @@ class Client:
         return node
 
     def evict(self, node: Any) -> None:
-        """Remove a node that this client hosts from its executor, and destroy the node."""
+        """Remove a node that this client hosts from its executor, and destroy the node.
+
+        Args:
+            node: a node from `host`.
+        """
         self._hosted.remove(node)
         self.executor.remove_node(node)
         node.destroy_node()
@@ -484,6 +514,9 @@ class Client:
         """Acknowledge every block of daq/scan on behalf of a hosted node, after its callback has returned or raised.
 
         The node itself needs no knowledge of daq/ack.
+
+        Args:
+            node: a node from `host`.
 
         Returns:
             Number of the node's subscriptions to daq/scan.
@@ -500,15 +533,20 @@ class Client:
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> np.void:
-        """Command frequency [Hz] and current [A peak], and wait until the rig has applied them.
+        """Command the drive, and wait until the rig has applied the command.
+
+        Args:
+            frequency_hz: new frequency [Hz]; None leaves it unchanged.
+            current_a: new current [A peak]; None leaves it unchanged.
+            timeout_s: time limit [s].
 
         Returns:
             Row of shaker/applied that the last command caused; its `sample` is the first scan that it acts on.
 
         Raises:
             CommandError: the rig rejected the command; the message is that of the rig.
-            WaitTimeoutError: the rig neither applied nor rejected it in time.
-            RigGoneError: the rig that received it is gone.
+            TimeoutError: the rig neither applied nor rejected it in time.
+            GoneError: the rig that received it is gone.
         """
         row: np.void | None = None
         for topic, column, value in (
@@ -565,44 +603,74 @@ class Client:
         """Publish a message once it will reach all present subscribers of the topic, so that none misses it.
 
         Args:
-            topic: topic of the topics table.
+            topic: entry of `impact_rig.topics`.
             message: the message, or its CDR bytes.
             timeout_s: longest wait for the subscribers [s].
             listener: name of a node that must be among them; None means that any one suffices.
             check: raises an error if the wait has become pointless, see `given`.
+
+        Raises:
+            TimeoutError: there is no such subscriber.
         """
         publisher = self.publisher(topic)
         self._reach(publisher, topic, timeout_s, listener, check)
         publisher.publish(message)
 
     def note(self, text: str) -> None:
-        """Publish an operator's remark on `notes`, which is recorded with the run."""
+        """Publish an operator's remark on `notes`, which is recorded with the run.
+
+        Args:
+            text: the remark.
+        """
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a rig in lockstep by `blocks` blocks (default: the present `step.blocks`); return the rig's answer.
+        """Advance a rig in lockstep.
 
         It returns when the last block is published and every peer has acknowledged it.
+
+        Args:
+            blocks: number of blocks; None means the present `step.blocks`.
+            timeout_s: time limit [s], by default 240: the first step may have to compile the physics.
+
+        Returns:
+            The rig's answer.
+
+        Raises:
+            ImpactRigError: the rig is not in lockstep, or a peer does not acknowledge; the message says which.
+            TimeoutError: the rig did not answer in time.
         """
         if blocks is not None:
             self.set_parameters("rig", {"step.blocks": blocks})
         return self.trigger("rig/step", timeout_s)
 
     def pause(self, paused: bool = True) -> None:
-        """Pause the rig, or resume it if `paused` is False.
+        """Pause the rig, or resume it.
+
+        Args:
+            paused: whether to pause; False resumes.
 
         Raises:
-            ServiceFailedError: the rig did not pause or resume; the message says why.
+            ImpactRigError: the rig did not pause or resume; the message says why.
         """
         response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True)
         if not response.success:
             raise ServiceFailedError(f"rig/pause: {response.message}")
 
     def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, may_be_silent: bool = False) -> str:
-        """Call a service of type Trigger, such as `rig/reset` or `recorder/start`, and return its message; see `call`.
+        """Call a service of type Trigger, such as `rig/reset` or `recorder/start`; see `call`.
+
+        Args:
+            name: service name, relative to the namespace.
+            timeout_s: time limit for the service to appear, and again for its answer [s].
+            may_be_silent: whether to continue to wait if the rig does not report for a while.
+
+        Returns:
+            The message of the service.
 
         Raises:
-            ServiceFailedError: the service answered `success = False`.
+            ImpactRigError: the service answered `success = False`; the message is the one of the service.
+            TimeoutError: the service did not appear or did not answer in time.
         """
         response = self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent)
         if not response.success:
@@ -619,19 +687,22 @@ class Client:
         repeatable: bool = False,
         may_be_silent: bool = False,
     ) -> Any:
-        """Call a service of any type and return its response.
+        """Call a service of any type.
 
         Args:
             service_type: class of the service.
             name: service name, relative to the namespace.
             request: the request.
             timeout_s: time limit for the service to appear, and again for its answer [s].
-            repeatable: whether the request may be sent again if its answer is late, see `ServiceCall`.
+            repeatable: whether the request may be sent again every 2 s until the answer arrives.
             may_be_silent: whether to continue to wait if the rig does not report for a while.
 
+        Returns:
+            The response of the service.
+
         Raises:
-            WaitTimeoutError: the service did not appear or did not answer in time.
-            RigGoneError: the rig that offers the service is gone.
+            TimeoutError: the service did not appear or did not answer in time.
+            GoneError: the rig that offers the service is gone.
         """
         node = name.rpartition("/")[0]
         check = patiently
@@ -647,6 +718,10 @@ class Client:
         """Return the rclpy client of a service, created at the first call.
 
         Call this early: discovery of the service then proceeds before the first request.
+
+        Args:
+            service_type: class of the service.
+            name: service name, relative to the namespace.
         """
         client = self._clients.get((name, service_type))
         if client is None:
@@ -656,10 +731,15 @@ class Client:
     # Parameters and lifecycle
 
     def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
-        """Set parameters of a node, by name; all of them or none.
+        """Set parameters of a node; all of them or none.
+
+        Args:
+            node: node name.
+            values: new values by name.
 
         Raises:
             ConfigError: the node rejected the parameters; the message is its reason.
+            TimeoutError: the node did not answer in time.
         """
         request = SetParametersAtomically.Request(
             parameters=[parameter.to_parameter_msg() for parameter in ros_parameters(values)]
@@ -670,23 +750,48 @@ class Client:
             raise ConfigError(result.reason)
 
     def get_parameters(self, node: str, names: Sequence[str]) -> dict[str, Any]:
-        """Return the present values of a node's parameters, by name."""
+        """Return the present values of a node's parameters.
+
+        Args:
+            node: node name.
+            names: names of the parameters.
+
+        Returns:
+            Values by name.
+
+        Raises:
+            TimeoutError: the node did not answer in time.
+        """
         request = GetParameters.Request(names=list(names))
         response = self.call(GetParameters, f"{node}/get_parameters", request)
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
-        """Return the label of a node's lifecycle state, such as `active`."""
+        """Return the label of a node's lifecycle state, such as `active`.
+
+        Args:
+            node: node name.
+            timeout_s: time limit for the answer [s].
+
+        Raises:
+            TimeoutError: the node did not answer in time.
+        """
         response = self.call(GetState, f"{node}/get_state", GetState.Request(), timeout_s)
         return str(response.current_state.label)
 
     def change_state(self, node: str, transition: str, timeout_s: float = START_TIMEOUT_S) -> bool:
-        """Request a lifecycle transition of a node; return whether it succeeded.
+        """Request a lifecycle transition of a node.
 
         Args:
             node: node name.
-            transition: `configure`, `activate`, `deactivate` or `cleanup`, see `TRANSITIONS`.
-            timeout_s: time limit for the answer [s].
+            transition: `configure`, `activate`, `deactivate` or `cleanup`.
+            timeout_s: time limit for the answer [s], by default 240: a rig may have to compile its physics.
+
+        Returns:
+            Whether the transition succeeded.
+
+        Raises:
+            TimeoutError: the node did not answer in time.
         """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
         changed = bool(self.call(ChangeState, f"{node}/change_state", request, timeout_s).success)
@@ -694,11 +799,19 @@ class Client:
         return changed
 
     def status(self, node: str) -> DiagnosticStatus:
-        """Return a node's latest diagnostics, or an empty status if none has arrived."""
+        """Return a node's latest diagnostics, a `diagnostic_msgs/DiagnosticStatus`; an empty one if none has arrived.
+
+        Args:
+            node: node name.
+        """
         return self.diagnostics.get(node, DiagnosticStatus(name=node))
 
     def figures(self, node: str) -> dict[str, str]:
-        """Return the key-value pairs of a node's latest diagnostics; empty if none has arrived."""
+        """Return the key-value pairs of a node's latest diagnostics; empty if none has arrived.
+
+        Args:
+            node: node name.
+        """
         return {value.key: value.value for value in self.status(node).values}
 
     # Topics
@@ -707,10 +820,16 @@ class Client:
         """Subscribe to a topic of the topics table and keep all messages; return once a publisher is matched.
 
         Args:
-            name: topic name as in the topics table, e.g. `daq/scan`.
+            name: topic name as in docs/reference/interface.md, such as `daq/scan`.
             acknowledge: whether to acknowledge every message on daq/ack; necessary for daq/scan if this client is a
                 peer of the rig.
             timeout_s: time limit for the publisher to appear [s].
+
+        Returns:
+            The messages as they arrive: `messages`, `tables()` and `last()`.
+
+        Raises:
+            TimeoutError: no publisher appeared in time.
         """
         topic = by_name(name)
         collector = Collector(topic, self._acknowledge if acknowledge else None)
@@ -721,7 +840,7 @@ class Client:
     def listen(
         self, name: str, on_message: Callable[[Received], None] | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> Collector:
-        """Subscribe to any topic, e.g. an output of the pipeline under test, and keep all its messages.
+        """Subscribe to any topic, such as an output of the pipeline under test, and keep all its messages.
 
         Message type and reliability are those of the topic's first publisher, which must be running. Tables are kept as
         in `collect`.
@@ -730,6 +849,12 @@ class Client:
             name: topic name, relative to the namespace or absolute.
             on_message: called after each message.
             timeout_s: time limit for the publisher to appear, and again for the connection to it [s].
+
+        Returns:
+            The messages as they arrive: `messages`, `tables()` and `last()`.
+
+        Raises:
+            TimeoutError: no publisher appeared in time.
         """
         full_name = self.node.resolve_topic_name(name)
         topic, profile = self.wait_until(lambda: published(self.node, name), f"a publisher of {full_name}", timeout_s)
@@ -740,13 +865,22 @@ class Client:
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
-        """Acknowledge daq/scan up to the block with this stamp [ns], on behalf of a peer that does not do so itself."""
+        """Acknowledge daq/scan up to a block, on behalf of a peer that does not do so itself.
+
+        Args:
+            peer: name of the peer.
+            stamp_ns: stamp of the block [ns].
+        """
         if peer not in self._acknowledgements:
             self._acknowledgements[peer] = Template(Header(frame_id=peer))
         self.publisher(topics.ACK).publish(self._acknowledgements[peer].render(stamp_ns))
 
     def publisher(self, topic: topics.Topic) -> Any:
-        """Return this client's publisher of a topic, created at the first call."""
+        """Return this client's publisher of a topic, created at the first call.
+
+        Args:
+            topic: entry of `impact_rig.topics`.
+        """
         if topic.name not in self._publishers:
             kind, profile = messages.class_of(topic), messages.profile(topic.qos)
             self._publishers[topic.name] = self.node.create_publisher(kind, topic.name, profile)
@@ -755,9 +889,16 @@ class Client:
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        """Subscribe to a topic of the topics table; the callback gets the message (CDR bytes if `raw`) and its info.
+        """Subscribe to a topic of the topics table.
 
-        The quality of service is that of the table, unless `profile` is given.
+        Args:
+            topic: entry of `impact_rig.topics`.
+            callback: function that gets each message and its info.
+            raw: whether it gets the CDR bytes instead of the message.
+            profile: quality of service; None means that of the table.
+
+        Returns:
+            The rclpy subscription.
         """
         kind, profile = messages.class_of(topic), profile or messages.profile(topic.qos)
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)

@@ -235,11 +235,22 @@ class RigDriver(abc.ABC):
         """Process what has arrived from a rig that runs by itself, without waiting; no effect on other rigs."""
 
     def connect(self, listener: Callable[[Table], object]) -> None:
-        """Call a function with every block of scans from now on, in order."""
+        """Call a function with every block of scans from now on, in order.
+
+        Args:
+            listener: function that gets each table of `daq/scan`.
+        """
         self._listeners.append(listener)
 
     def disconnect(self, listener: Callable[[Table], object]) -> None:
-        """Stop calling a function that `connect` has added."""
+        """Stop calling a function that `connect` has added.
+
+        Args:
+            listener: the function.
+
+        Raises:
+            ValueError: the function was not connected.
+        """
         self._listeners.remove(listener)
 
     def close(self) -> None:
@@ -283,14 +294,25 @@ class RigDriver(abc.ABC):
         return self.sample / self.rate_hz
 
     def run(self, seconds: float) -> None:
-        """Advance by this much rig time [s], rounded up to whole blocks."""
+        """Advance by a duration of rig time.
+
+        Args:
+            seconds: duration [s], rounded up to whole blocks (by default 10 ms each).
+
+        Raises:
+            TimeoutError: as for `step`.
+        """
         self.step(math.ceil(seconds * self.rate_hz / self.block_scans - 1e-9))
 
     def run_to_sample(self, sample: int) -> None:
-        """Advance until scan number `sample` is the first one of the next block.
+        """Advance until a scan is the first one of the next block.
+
+        Args:
+            sample: number of the scan, from 0 at the start or reset.
 
         Raises:
             ConfigError: no block begins with this scan, or the rig is already past it.
+            TimeoutError: as for `step`.
         """
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
@@ -304,16 +326,19 @@ class RigDriver(abc.ABC):
     def wait_until(
         self, condition: Callable[[], object], what: str, limit_s: float = 30.0, every_s: float = 0.05
     ) -> float:
-        """Advance the rig until `condition()` is true, and return the rig time then [s].
+        """Advance the rig until a condition is true.
 
         Args:
-            condition: evaluated before the first step and after each.
+            condition: function without arguments, called before the first step and after each.
             what: what is awaited, for the error message.
             limit_s: longest wait [s of rig time].
-            every_s: rig time between two evaluations [s], rounded up to whole blocks.
+            every_s: rig time between two calls [s], rounded up to whole blocks.
+
+        Returns:
+            Rig time at which the condition was true [s].
 
         Raises:
-            NotReachedError: the condition did not become true in time.
+            impact_rig.driver.NotReachedError: the condition did not become true in time; an `ImpactRigError`.
         """
         begin, blocks = self.time_s, max(1, math.ceil(every_s * self.rate_hz / self.block_scans - 1e-9))
         while not condition():
@@ -331,15 +356,19 @@ class RigDriver(abc.ABC):
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, *, at_sample: int | None = None
     ) -> int:
-        """Command frequency [Hz] and current [A peak], and return the first scan they act on.
+        """Command the drive: frequency and current of a sine.
 
         Args:
-            frequency_hz: new frequency; None leaves it unchanged.
-            current_a: new current; None leaves it unchanged.
-            at_sample: scan to run to first; it must begin a block and lie on the 10 ms grid of commands.
+            frequency_hz: new frequency [Hz], within the shaker's range (by default 5 to 200); None leaves it unchanged.
+            current_a: new current [A peak], from 0 to the shaker's limit (by default 21.2); None leaves it unchanged.
+            at_sample: scan to run to first; it must begin a block and lie on the 10 ms grid of commands. None means
+                now.
+
+        Returns:
+            Number of the first scan that the command acts on.
 
         Raises:
-            CommandError: no command can act on this scan, or the rig rejected the command.
+            CommandError: a value is out of range, the shaker is stopped, or no command can act on this scan.
             ConfigError: the rig has already passed `at_sample`.
         """
         if at_sample is None:
@@ -372,18 +401,38 @@ class RigDriver(abc.ABC):
         return kept[topic]
 
     def rows(self, topic: str = SCANS) -> NDArray[np.void]:
-        """Return the rows of all tables of a topic that are kept, one after the other; shape (n,)."""
+        """Return the rows of all tables of a topic that are kept, one after the other.
+
+        Args:
+            topic: name of the topic; by default `daq/scan`, with one row per scan.
+
+        Returns:
+            Structured array, shape (n,), with the columns of docs/reference/interface.md in SI units. `time` counts
+            from the stamp of each row's own table.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+        """
         parts = [table.rows for table in self.tables(topic)]
         return np.concatenate(parts) if parts else np.empty(0, _ROWS[topic])
 
     def clear(self) -> None:
-        """Drop the tables published so far, to free memory, except those of the topics of `ESSENTIAL`."""
+        """Drop the tables published so far, to free memory.
+
+        The journal, the applied commands and the calibration are kept, because they apply to all later scans.
+        """
         self._lost_before = self.lost_scans
         self._forget()
         self._kept_from = self.sample
 
     def expected_transmissibility(self, frequency_hz: float) -> complex:
-        """Return X_1 / X_b (structure to base, complex) in closed form, which exists only without the sphere.
+        """Return the transmissibility X_1 / X_b of a rig without its sphere in closed form.
+
+        Args:
+            frequency_hz: frequency [Hz].
+
+        Returns:
+            Complex ratio; its magnitude is DT, its argument the phase [rad].
 
         Raises:
             ConfigError: the sphere is present.
@@ -403,7 +452,11 @@ class RigDriver(abc.ABC):
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the ranges of scans not published since the last `clear`, as (first, one after the last)."""
+        """Return the ranges of scans that were measured but not published since the last `clear`.
+
+        Returns:
+            Pairs of first scan and the one after the last.
+        """
         lost, expected = [], self._kept_from
         for table in self.tables():
             first = self.first_scan(table)
@@ -422,7 +475,7 @@ class RigDriver(abc.ABC):
     # Reports
 
     def report(self) -> str:
-        """Return a readable report for a failed test: settings other than the defaults, faults, losses and commands."""
+        """Return a report for a failed test: changed settings, faults, losses and the last ten changes of the drive."""
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
         lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
@@ -436,7 +489,11 @@ class RigDriver(abc.ABC):
         return "\n".join(lines)
 
     def first_scan(self, table: Table) -> int:
-        """Return the number of the first scan of a block since the start or reset, computed from its stamp."""
+        """Return the number of the first scan of a block, from 0 at the start or reset.
+
+        Args:
+            table: a table of `daq/scan`, whose stamp gives the number.
+        """
         return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
 
     def _faults_so_far(self) -> str:

@@ -22,6 +22,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any  # value of a parameter
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +41,7 @@ from impact_rig.driver.driver import (
     StreamLevel,
     configured,
 )
-from impact_rig.errors import RecordingError
+from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.instruments.fault import Fault
 from impact_rig.recording import CONFIGURATION, Attachment, Provenance, RunWriter, TopicDescription
 from impact_rig.rig import Block, Rig, journal
@@ -63,27 +64,30 @@ JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 class LocalRig(RigDriver):
     """Rig in this process, with optional analysis and recording.
 
-    Rig time advances only in `step` and `run`. `command`, `configure` and `inject` take effect at exact samples, `rows`
-    and `tables` return what the rig has published, and `save` writes a run. `RosRig` has the same interface.
+    Rig time advances only in `step`, `run`, `run_to_sample` and `wait_until`. Inputs (`command`, `configure`, `inject`
+    and `feed`) act at exact scans. `rows`, `tables` and `newest` return what the rig has published, and `save` writes
+    it as a run. The same calls operate a `RosRig`. Used as a context manager, it calls `close` at the end.
 
     Args:
-        config: the configuration, or the values that differ from the defaults, `section.key` -> value, as in
-            docs/reference/configuration.md.
-        faults: instrument faults that are planned in addition to those of the configuration.
+        config: the configuration, or the values that differ from the paper's rig, `section.key` -> value, as in
+            docs/reference/configuration.md. None means the paper's rig.
+        faults: instrument faults to plan, in addition to those of the configuration.
         name: name of the rig in reports and messages.
-        analysis: parameters of the rig's analysis, as those of its node (`gap_m` is the operator's label); None means
-            no analysis.
-        record: directory of a run to write while the rig moves; None means no recording.
-        also: further topics whose tables are kept, such as `truth/scan`.
-        kept_bytes: limit of the memory for kept tables and entries [bytes]; at most half of it is for those that every
-            run needs (journal, commands, calibration). None means no limit.
+        analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, the gap [m] that the rows of
+            the analysis state (0: no sphere; negative: unknown). An empty mapping means the defaults, None no analysis.
+        record: new directory of a run to write while the rig moves; None means no recording.
+        also: further topics whose tables are kept, such as `truth/scan`. docs/reference/interface.md lists all topics.
+        kept_bytes: limit of the memory for kept tables [bytes], by default 256 MB: 10 minutes at 10,000 scans per
+            second. The oldest are dropped first. None means no limit.
 
     Attributes:
-        core: the rig itself, for calls that this class does not offer (pluck, stop, clear_trip).
+        config (RigConfig): present configuration.
+        sample (int): number of the first scan of the next block.
+        core: the rig itself, for calls that this class does not offer: `pluck`, `stop`, `clear_trip`.
         tracker: the analysis, or None.
 
     Raises:
-        ConfigError: a key is unknown, or a value or fault is invalid.
+        ConfigError: a key or topic is unknown, or a value or fault is invalid.
         RecordingError: the run cannot be written.
 
     Examples:
@@ -93,6 +97,21 @@ class LocalRig(RigDriver):
         >>> rig.run(seconds=20)
         >>> print(f"DT {rig.rows('transmissibility/table')['transmissibility'][-1]:.2f}")
         DT 63.57
+
+        Change the frequency, wait for the next measurement, and save what was published:
+
+        >>> rig.clear()
+        >>> first_scan = rig.command(frequency_hz=8.5)
+        >>> seconds = rig.wait_until(lambda: b"ok" in rig.rows("transmissibility/table")["status"], "DT at 8.5 Hz")
+        >>> row = rig.rows("transmissibility/table")[-1]
+        >>> print(f"DT {row['transmissibility']:.2f} at {row['frequency']:g} Hz")
+        DT 8.25 at 8.5 Hz
+        >>> path = rig.save("gap_6mm")
+
+    See Also:
+        - `RosRig`: the same calls over ROS topics.
+        - `simulate`: one run in one call.
+        - `Rig`: the rig alone, at a lower level.
     """
 
     def __init__(
@@ -108,9 +127,13 @@ class LocalRig(RigDriver):
     ) -> None:
         super().__init__(name, configured(config, faults))
         settings, gap_m = _settings(analysis or {})
-        self.core = Rig(self.config)
-        self.tracker = None if analysis is None else Tracker(settings)
+        self.core: Rig = Rig(self.config)
+        self.tracker: Tracker | None = None if analysis is None else Tracker(settings)
         self._injected: deque[Fault] = deque(maxlen=KEPT_FAULTS)
+        if unknown := next((topic for topic in also if topic not in TYPES), ""):
+            raise ConfigError(
+                f"unknown topic {unknown!r} in `also`" + did_you_mean(unknown, TYPES, ", did you mean {!r}?")
+            )
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
         self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
         self._order: deque[tuple[str, Table | JournalEntry]] = deque()
@@ -131,10 +154,14 @@ class LocalRig(RigDriver):
         self._publish_changes()
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:  # noqa: ARG002  # never waits
-        """Advance by whole blocks, one at a time if listeners, a recording or samples of the drive need it.
+        """Advance by whole blocks of scans.
+
+        Args:
+            blocks: number of blocks.
+            timeout_s: ignored, because this rig never waits; for a `RosRig` the limit of wall time [s].
 
         Raises:
-            NoSamplesError: the stream that drives the rig has no samples for these blocks.
+            TimeoutError: the stream that drives the rig has no samples for these blocks.
         """
         one_by_one = self._listeners or self._recording or self.core.takes_samples
         while blocks > 0:
@@ -148,7 +175,14 @@ class LocalRig(RigDriver):
                 self._deliver(block)
 
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return the tables of a topic that were published and are still kept, oldest first."""
+        """Return the tables of a topic that are kept, oldest first.
+
+        Args:
+            topic: name of the topic; by default `daq/scan`, with one table per block.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+        """
         return list(self._kept_of(topic, self._kept))
 
     def journal(self) -> list[JournalEntry]:
@@ -156,20 +190,43 @@ class LocalRig(RigDriver):
         return list(self._kept[topics.JOURNAL.name])
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of the tables of a topic; fewer if there are not so many."""
+        """Return the newest rows of the tables of a topic.
+
+        Args:
+            topic: name of the topic, such as `daq/scan`.
+            count: number of rows.
+
+        Returns:
+            Rows, shape (count,); fewer if there are not so many.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic.
+        """
         return self.rows(topic)[-count:]
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change configuration values from the first scan not measured yet; see `RigDriver.configure`."""
+        """Change configuration values from the first scan that is not measured yet.
+
+        Args:
+            changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
+
+        Returns:
+            The new configuration.
+
+        Raises:
+            ConfigError: a key is unknown, or a value is invalid or fixed at the start; nothing is changed.
+        """
         self.config = self.core.configure(changes)
         self._publish_changes()
         return self.config
 
     def reset(self) -> None:
-        """Start again at scan 0 with everything at rest, as the service `rig/reset` does; stamps continue.
+        """Start again at scan 0 with everything at rest, as the service `rig/reset` does.
+
+        Stamps continue, so none is used twice.
 
         Raises:
-            CommandError: the shaker is latched.
+            CommandError: the shaker is stopped, which a reset must not clear.
         """
         self.core.reset()
         self._start_ns, self.sample = self.core.start_ns, 0
@@ -177,14 +234,33 @@ class LocalRig(RigDriver):
         self._publish_changes()
 
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault; see `RigDriver.inject`."""
+        """Add an instrument fault, which starts at its `start_sample`.
+
+        Args:
+            fault: the fault; its `start_sample` must not be measured yet.
+
+        Returns:
+            Number of the fault since the reset, from 1.
+
+        Raises:
+            CommandError: the kind or channel is unknown, or the scan has been measured already.
+        """
         number = self.core.inject(fault)
         self._injected.append(fault)
         self._publish_changes()
         return number
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig, and record them; see `RigDriver.feed`."""
+        """Send samples of the stream that drives the rig (`drive.waveform: stream`), and record them.
+
+        Args:
+            first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
+            samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
+
+        Raises:
+            CommandError: the drive is no stream, the shaker is stopped, or a sample is not finite or exceeds shaker or
+                buffer.
+        """
         if self._recording is not None:
             rows = np.zeros(len(samples), WAVEFORM)
             rows["value"] = samples
@@ -193,7 +269,14 @@ class LocalRig(RigDriver):
         self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
-        """Return how full the buffer of the drive's samples is, and how many samples were late or missing so far."""
+        """Return the state of the buffer that holds the samples of the drive.
+
+        Returns:
+            Numbers of samples: `sample` (the next to play), `buffered`, `capacity`, `late` and `missing`.
+
+        Raises:
+            CommandError: the drive is no stream.
+        """
         stream = self.core.stream
         late = int(self.core.stream_state().rows["late"][0])
         return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)
@@ -215,7 +298,13 @@ class LocalRig(RigDriver):
         return [*super().faults, *self._injected]
 
     def save(self, directory: str | Path) -> Path:
-        """Write everything that is kept as an MCAP run into a new directory, and return that directory.
+        """Write everything that is kept as an MCAP run.
+
+        Args:
+            directory: directory of the run, which must not exist yet.
+
+        Returns:
+            The directory.
 
         Raises:
             RecordingError: the directory exists, or the run cannot be written.
@@ -352,7 +441,15 @@ def _encoded(one: Table | JournalEntry) -> bytes:
 
 
 def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | None]:
-    """Return the settings of the analysis, and the operator's gap label [m]: NaN if unknown, None if not given."""
+    """Return the settings of the analysis, and the operator's gap label [m]: NaN if unknown, None if not given.
+
+    Raises:
+        ConfigError: a setting is unknown or invalid.
+    """
     settings = {name: value for name, value in analysis.items() if name != "gap_m"}
+    known = [field.name for field in attrs.fields(TrackerSettings)]
+    if unknown := next((name for name in settings if name not in known), ""):
+        hint = did_you_mean(unknown, known, ", did you mean {!r}?")
+        raise ConfigError(f"unknown setting {unknown!r} of the analysis{hint}")
     gap_m = analysis.get("gap_m")
     return TrackerSettings(**settings), math.nan if gap_m is not None and gap_m < 0.0 else gap_m

@@ -81,31 +81,38 @@ FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
 
 
 class RosRig(RigDriver):
-    """Rig reached over ROS topics, newly started on its own ROS domain or already running.
+    """Rig reached over ROS topics, newly started on a ROS domain of its own or already running.
 
-    It has the interface of `LocalRig`, and a `client` that acts as the operator. Use it to test ROS 2 nodes against the
-    rig: `host` runs a node in this process, and `start_node` starts one as a process.
+    It has the calls of `LocalRig`, and a `client` that acts as the operator. Use it to test ROS 2 nodes: `host` runs a
+    node in this process, `start_node` starts one as a process, and each step waits until the node has processed its
+    scans. Used as a context manager, it ends everything that it has started. It needs ROS 2.
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
             value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
-        faults: instrument faults that are planned in addition to those of the configuration.
+        faults: instrument faults to plan, in addition to those of the configuration.
         name: name of the rig in reports and messages.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
-        analysis: parameters of an analysis node to start; None means no analysis.
+        analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
+            become parameters of an analysis node. None means no analysis.
         record: directory of a run that a recorder writes; True means a temporary one, from which `save` copies it.
         also: further topics whose tables are kept, such as `truth/scan`.
-        mode: `time.mode` of a rig that is started.
+        mode: `time.mode` of a new rig. `lockstep`, the default, advances only on request; `realtime` and `free_running`
+            rigs run by themselves, and `step` waits for their scans.
         hosted: whether to run rig and recorder in this process, too. They start ten times faster and still use real
             DDS.
         namespace: namespace of a running rig in this environment's domain, which is driven instead of a new one.
 
     Attributes:
+        config (RigConfig): present configuration.
+        sample (int): number of the first scan of the next block.
         client: client that acts as the operator: parameters, services, topics.
         processes: the node processes, to stop, kill or suspend one.
 
     Raises:
         ConfigError: a key is unknown, a value or fault is invalid, or a running rig has other values.
+        GoneError: a node ended before it was ready; the message quotes the end of its log.
+        TimeoutError: a node was not ready in time.
 
     Examples:
         >>> import impact_rig
@@ -114,6 +121,11 @@ class RosRig(RigDriver):
         ...     rig.run(seconds=0.5)
         ...     rig.rows("daq/scan")["laser"].shape
         (5000,)
+
+    See Also:
+        - `LocalRig`: the same calls without ROS.
+        - `Client`: the ROS node behind this class.
+        - docs/how-to/testing.md: pytest fixtures that start such a rig.
     """
 
     def __init__(
@@ -152,8 +164,8 @@ class RosRig(RigDriver):
             self.directory = directory = Path(directory)
             self._run = directory / RUN if record is True else Path(record) if record else None
             domain_id = domain_of_environment() if running else stack.enter_context(isolated_domain())
-            self.processes = stack.enter_context(Processes(domain_id, directory / "logs", namespace or ""))
-            self.client = stack.enter_context(
+            self.processes: Processes = stack.enter_context(Processes(domain_id, directory / "logs", namespace or ""))
+            self.client: Client = stack.enter_context(
                 Client(domain_id, namespace or "", self.processes, CONTROLLER if running else CLIENT)
             )
             for service in ("rig/step", f"{self._recorder}/stop"):
@@ -240,13 +252,16 @@ class RosRig(RigDriver):
     # The pipeline under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Create a node under test in this process, and return it: the rig waits for its callback after each block.
+        """Create a node under test in this process; the rig waits for its callback after each block.
 
         The code of the node need not be changed.
 
         Args:
             make_node: class or function that creates the node.
             kwargs: its arguments.
+
+        Returns:
+            The node.
 
         Raises:
             ConfigError: the node does not subscribe to daq/scan.
@@ -276,16 +291,32 @@ class RosRig(RigDriver):
             output: topic on which the node answers every block. The stamp in an answer's header tells which block;
                 answers without a header are counted. None: the node sends `daq/ack` itself, with its name as
                 `frame_id`.
-            timeout_s: time limit for the node to subscribe to daq/scan [s].
+            timeout_s: time limit for the node to subscribe to daq/scan [s], by default 30.
 
         Returns:
-            Collector of the messages on `output`; None without `output`.
+            The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
+
+        Raises:
+            TimeoutError: the node did not subscribe in time.
+            GoneError: its process ended; the message quotes the end of its log.
         """
         self.processes.start(name, parameters, name=name, command=command)
         return self.follow(name, output, timeout_s)
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
-        """Make the rig wait, after each block, for a node that another program has started; see `start_node`."""
+        """Make the rig wait, after each block, for a node that another program has started.
+
+        Args:
+            name: node name of the node.
+            output: topic on which the node answers every block, as for `start_node`.
+            timeout_s: time limit for the node to subscribe to daq/scan [s], by default 30.
+
+        Returns:
+            The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
+
+        Raises:
+            TimeoutError: the node did not subscribe in time.
+        """
         node = self.client.node
         self.client.wait_until(
             lambda: name in subscribers(node, SCANS), f"node {name} to subscribe to {SCANS}", timeout_s
@@ -295,7 +326,17 @@ class RosRig(RigDriver):
         return found
 
     def listen(self, topic: str) -> Collector:
-        """Collect all messages of any topic that has a publisher, from now on."""
+        """Collect all messages of any topic that has a publisher, from now on.
+
+        Args:
+            topic: name of the topic, relative to the rig's namespace or absolute.
+
+        Returns:
+            The messages as they arrive (`messages`, `tables()`, `last()`).
+
+        Raises:
+            TimeoutError: no publisher appeared within 10 s.
+        """
         return self.client.listen(topic)
 
     # RigDriver
@@ -303,13 +344,17 @@ class RosRig(RigDriver):
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
         """Advance by whole blocks; return when every peer has processed them.
 
-        A rig that runs by itself is not advanced: the call returns when so many further blocks have arrived.
+        The peers are this program, recorder, analysis and the nodes under test. A rig that runs by itself is not
+        advanced: the call returns when so many further blocks have arrived.
+
+        Args:
+            blocks: number of blocks.
+            timeout_s: limit of wall time [s], by default 240: the first step may have to compile the physics.
 
         Raises:
-            WaitTimeoutError: the blocks did not arrive in time.
-            ServiceFailedError: a peer does not acknowledge; the message names it.
-            ProcessDiedError: a node process ended; the message quotes the end of its log.
-            ImpactRigError: a measurement arrived one step late, so a command that depends on it could be late, too.
+            TimeoutError: the blocks did not arrive in time.
+            GoneError: a node process ended; the message quotes the end of its log.
+            ImpactRigError: a peer does not acknowledge, or this machine is too busy for lockstep with an analysis.
         """
         if blocks < 1:
             return
@@ -352,6 +397,12 @@ class RosRig(RigDriver):
         """Return the tables of a topic that arrived and are still kept, oldest first.
 
         Scans, commands and journal are complete when a step returns; `truth/...` of the last blocks may arrive later.
+
+        Args:
+            topic: name of the topic; by default `daq/scan`, with one table per block.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
         """
         return self._kept_of(topic, self._collectors).tables()
 
@@ -360,7 +411,19 @@ class RosRig(RigDriver):
         return self._collectors[topics.JOURNAL.name].entries()
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of the tables of a topic, waiting until so many have arrived."""
+        """Return the newest rows of the tables of a topic, waiting until so many have arrived.
+
+        Args:
+            topic: name of the topic, such as `daq/scan`.
+            count: number of rows.
+
+        Returns:
+            Rows, shape (count,).
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic.
+            TimeoutError: so many rows did not arrive within 10 s.
+        """
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
         return self.rows(topic)[-count:]
 
@@ -372,14 +435,35 @@ class RosRig(RigDriver):
                 collector.clear()
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change parameters of the rig's node from the first scan not measured yet; see `RigDriver.configure`."""
+        """Change parameters of the rig's node from the first scan that is not measured yet.
+
+        Args:
+            changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
+
+        Returns:
+            The new configuration.
+
+        Raises:
+            ConfigError: the node rejected the values; nothing is changed.
+        """
         self.client.set_parameters("rig", changes)
         self.config = from_flat(self.config, changes)
         self._step_blocks = changes.get("step.blocks", self._step_blocks)
         return self.config
 
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault as a further line of `instruments.faults.planned`; see `RigDriver.inject`."""
+        """Add an instrument fault, as a further line of `instruments.faults.planned`.
+
+        Args:
+            fault: the fault; its `start_sample` must not be measured yet.
+
+        Returns:
+            Number of the fault among the planned ones, from 1.
+
+        Raises:
+            CommandError: the scan has been measured already.
+            ConfigError: the node rejected the fault.
+        """
         since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
         line = since.line(self.rate_hz)
         planned = [*self.config.instruments.faults.planned, line]
@@ -399,7 +483,16 @@ class RosRig(RigDriver):
         self.client.spin_pending()
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig, on `shaker/waveform`; see `RigDriver.feed`."""
+        """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.
+
+        Args:
+            first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
+            samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
+
+        Raises:
+            CommandError: the shaker is stopped.
+            TimeoutError: the rig does not subscribe to the topic.
+        """
         if stopped := self.stopped:
             raise CommandError(stopped)
         rows = np.zeros(len(samples), WAVEFORM)
@@ -411,7 +504,9 @@ class RosRig(RigDriver):
     def stream_level(self) -> StreamLevel:
         """Return the last published state of the buffer that holds the samples of the drive.
 
-        Samples that were sent since then count as buffered.
+        Returns:
+            Numbers of samples: `sample` (the next to play), `buffered`, `capacity`, `late` and `missing`. Samples sent
+            since that state count as buffered.
         """
         table = self._stream.last()
         assert table is not None
@@ -523,9 +618,13 @@ class RosRig(RigDriver):
             self.client.trigger(f"{self._recorder}/stop")
 
     def save(self, directory: str | Path) -> Path:
-        """Finish the recording and copy it, with the logs of the nodes, to a new directory; return that directory.
+        """Finish the recording, and copy it with the logs of the nodes; the rig cannot be used after that.
 
-        The rig cannot be used after that.
+        Args:
+            directory: directory of the copy, which must not exist yet.
+
+        Returns:
+            The directory.
 
         Raises:
             RecordingError: there is no recording, or it cannot be copied.

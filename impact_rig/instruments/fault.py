@@ -55,20 +55,33 @@ class Fault:
 
     Attributes:
         kind: kind of fault, such as `dropout`, `stuck` or `offset_step`; docs/reference/instruments.md lists all kinds.
-        channel: channel that it acts on; empty for faults of the whole board.
-        start_sample: first scan that it acts on.
-        samples: number of scans that it lasts; 0 means until it is cleared.
-        value: size, in the channel's unit or as the kind defines it.
-        seed: seed of its own random numbers.
-        rate_hz: mean rate of a spike train [Hz].
+        channel: channel that it acts on: accelerometer, laser, base or current. Empty (the default) for faults of the
+            whole board.
+        start_sample: first scan that it acts on (default: 0).
+        samples: number of scans that it lasts; 0, the default, means until it is cleared.
+        value: size, in the channel's unit or as the kind defines it (default: 0).
+        seed: seed of its own random numbers (default: 0).
+        rate_hz: mean rate of a spike train [Hz] (default: 10).
 
     Raises:
         CommandError: the kind or channel does not exist, or a number is out of range.
 
     Examples:
         >>> import impact_rig
-        >>> print(impact_rig.Fault(kind="offset_step", channel="laser", start_sample=20000, samples=5000, value=1e-3))
-        offset_step on laser from sample 20000 to sample 25000, value 0.001
+        >>> fault = impact_rig.Fault(kind="offset_step", channel="laser", start_sample=5000, samples=2000, value=1e-3)
+        >>> print(fault)
+        offset_step on laser from sample 5000 to sample 7000, value 0.001
+
+        The laser of a rig at rest reads 0 m, and 1 mm during the fault:
+
+        >>> rig = impact_rig.LocalRig(faults=[fault])
+        >>> rig.run(seconds=1)
+        >>> laser = rig.rows("daq/scan")["laser"]
+        >>> print(f"{laser[:5000].mean():.5f} {laser[5000:7000].mean():.5f}")
+        0.00000 0.00100
+
+    See Also:
+        - `LocalRig`: plans faults (`faults`), and adds them while it runs (`inject`).
     """
 
     kind: str  # one of `FAULT_KINDS`
@@ -93,13 +106,21 @@ class Fault:
                 raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
 
     def line(self, scan_rate_hz: int) -> str:
-        """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds."""
+        """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds.
+
+        Args:
+            scan_rate_hz: scans per second of the rig.
+        """
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
         return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
 
     @classmethod
     def from_line(cls, line: str, scan_rate_hz: int) -> Fault:
-        """Return the fault that a line of text describes, see this module; a duration > 0 lasts at least one scan.
+        """Return the fault that a line of text describes, such as `offset_step channel=laser start_s=2 value=1e-3`.
+
+        Args:
+            line: kind, then `key=value` with the keys channel, start_s, duration_s, value, seed and rate_hz.
+            scan_rate_hz: scans per second of the rig. A duration above 0 lasts at least one scan.
 
         Raises:
             ConfigError: the kind, channel or key is unknown, or a value is malformed or out of range.

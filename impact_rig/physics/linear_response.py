@@ -24,14 +24,17 @@ from impact_rig.physics.linear import MechanicsSetup, constants
 
 
 def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
-    """Return the transmissibility X_1 / X_b of the rig without its sphere, in closed form: superior over inferior base.
+    """Return the transmissibility X_1 / X_b of the rig without its sphere, in closed form.
+
+    It is the displacement of the structure (superior base) divided by that of its base (inferior base):
 
         X_1 / X_b = (1 + 2iζr) / (1 − r² + 2iζr),   r = f / f_n
 
-    This is the response of a base-excited oscillator; see S. S. Rao, Mechanical Vibrations, section 3.6.
+    This is the response of a base-excited oscillator. Source: S. S. Rao, Mechanical Vibrations, section 3.6.
 
     Args:
-        config: configuration of the rig, of which the natural frequency f_n and the damping ratio ζ are used.
+        config: configuration of the rig, of which `structure.natural_frequency_hz` f_n and `structure.damping_ratio` ζ
+            are used.
         frequency_hz: frequencies f [Hz], a number or an array of any shape.
 
     Returns:
@@ -39,9 +42,13 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
         transmissibility DT, its argument the phase of x_1 relative to x_b [rad].
 
     Examples:
-        >>> import impact_rig
-        >>> print(f"{abs(impact_rig.transmissibility(impact_rig.RigConfig(), 9.1)):.1f}")
-        110.4
+        >>> import numpy as np, impact_rig
+        >>> ratio = impact_rig.transmissibility(impact_rig.RigConfig(), np.array([5.0, 9.1, 20.0]))
+        >>> print(np.abs(ratio).round(2))
+        [  1.43 110.42   0.26]
+
+    See Also:
+        - `simulate`: measures DT, also with the sphere.
     """
     structure = config.structure
     r = np.asarray(frequency_hz, float) / structure.natural_frequency_hz

@@ -115,30 +115,53 @@ _Item = tuple[int, int, int, Message]  # log time, number of the chunk, number o
 class Run:
     """Recorded run, opened for reading; a context manager that closes its files.
 
+    `tables` yields the rows of a topic block by block, `to_dataframe` and `to_xarray` return all of them at once, and
+    `messages` yields the messages of any topics. A topic has an absolute name, or one relative to the rig's namespace.
+    Only the parts of the file that are needed are read.
+
     Args:
         path: a run directory or an MCAP file.
         rig: namespace of the rig that relative names refer to; None means the only rig.
 
     Attributes:
-        topics: recorded topics by full name.
+        topics: recorded topics by full name; each has a `count` of messages and a description `topic`.
         prefixes: prefix of the topics of each rig, such as `/rig/`.
+        path: the run directory or file.
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
-        BudgetError: the recording exceeds a limit of reading, such as the size of a chunk.
+        ImpactRigError: the recording exceeds a limit of reading, such as the size of a chunk.
+
+    Examples:
+        >>> import impact_rig
+        >>> rig = impact_rig.LocalRig()
+        >>> rig.run(seconds=1)
+        >>> with impact_rig.Run(rig.save("recorded")) as run:
+        ...     print(run.message_count, run.end_ns - run.start_ns)
+        ...     scans = run.to_xarray("daq/scan")
+        ...     print(scans["laser"].sizes["time"], scans["laser"].attrs["units"])
+        103 990000000
+        10000 m
+
+    See Also:
+        - `open_run`: opens a run.
+        - `info`, `verify`, `export`: work on a whole run.
+        - docs/reference/file_formats.md: content of the files.
     """
 
     def __init__(self, path: str | Path, rig: str | None = None) -> None:
-        self.path = Path(path)
+        self.path: Path = Path(path)
         self._rig = rig
         self._ahead = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
         self.sources: list[McapSource] = []
         try:
             for file in run_files(self.path):
                 self.sources.append(McapSource(file))
-            self.topics = self._merge_topics()
+            self.topics: dict[str, RecordedTopic] = self._merge_topics()
             self._refuse_excess()
-            self.prefixes = rigs.prefixes({name: one.topic.type_name for name, one in self.topics.items()})
+            self.prefixes: tuple[str, ...] = rigs.prefixes(
+                {name: one.topic.type_name for name, one in self.topics.items()}
+            )
             if rig is not None:
                 rigs.choose(self.prefixes, rig, self.path)
         except BaseException:
@@ -182,7 +205,13 @@ class Run:
         return self.record(RECORD_NAME)
 
     def record(self, name: str) -> dict[str, str]:
-        """Return the content of the last metadata record of this name, checked by its own checksum; empty if none.
+        """Return the content of the last metadata record of a name, checked by its own checksum.
+
+        Args:
+            name: name of the record.
+
+        Returns:
+            The content; empty if there is no such record.
 
         Raises:
             RecordingError: the record has no checksum, or does not match it.
@@ -227,7 +256,10 @@ class Run:
         return rigs.choose(self.prefixes, self._rig, self.path)
 
     def name(self, wanted: str | Topic) -> str:
-        """Return the full name of a topic, recorded or not: an absolute name unchanged, others in the rig's namespace.
+        """Return the full name of a topic, recorded or not.
+
+        Args:
+            wanted: a topic or its name; a relative name is completed with the rig's namespace.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -239,7 +271,13 @@ class Run:
         return text if text in self.topics and name not in self.topics else name  # names without any slash are legal
 
     def relative(self, name: str) -> str | None:
-        """Return the name of a recorded topic relative to the chosen rig's namespace; None if it is not of this rig.
+        """Return the name of a recorded topic relative to the chosen rig's namespace.
+
+        Args:
+            name: full name of the topic.
+
+        Returns:
+            The relative name; None if the topic is not of this rig.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -249,6 +287,9 @@ class Run:
 
     def resolve(self, wanted: str | Topic) -> str:
         """Return the full name of a topic, as `name` does, and check that the topic was recorded.
+
+        Args:
+            wanted: a topic or its name.
 
         Raises:
             RecordingError: the topic was not recorded; or there are several rigs, and none was chosen.
@@ -277,6 +318,10 @@ class Run:
             end_ns: log time at which to end [ns], exclusive; None means to the end.
             recorded_order: whether to yield messages in the order of recording instead.
 
+        Yields:
+            Messages, with `topic`, `type_name`, `log_time` [ns], `publish_time` [ns], `sequence` and `data`: the CDR
+            bytes.
+
         Raises:
             RecordingError: a topic is missing, or a chunk is damaged (messages yielded before are valid).
         """
@@ -284,7 +329,10 @@ class Run:
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
 
     def holds(self, topic: str | Topic) -> bool:
-        """Return whether a topic was recorded; a relative name is that of the chosen rig.
+        """Return whether a topic was recorded.
+
+        Args:
+            topic: a topic or its name; a relative name is completed with the rig's namespace.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -292,12 +340,15 @@ class Run:
         return self.name(topic) in self.topics
 
     def tables(self, topic: str | Topic, *, recorded_order: bool = False) -> Iterator[Table]:
-        """Yield the tables of a PointCloud2 topic in log-time order, or in the order of recording.
+        """Yield the tables of a topic in log-time order, or in the order of recording.
 
         Args:
-            topic: a name, which yields all tables recorded under it; or a `Topic`, which also checks them
-                (`codec.checked`).
+            topic: a name, which yields all tables recorded under it; or an entry of `impact_rig.topics`, which also
+                checks their columns and values.
             recorded_order: whether to use the order of recording.
+
+        Yields:
+            Tables; of `daq/scan`, one per block.
 
         Raises:
             RecordingError: the topic is missing, carries no tables, or is damaged; or a table does not match the topic.
@@ -307,7 +358,13 @@ class Run:
         return (self.table(message, known) for message in self.messages([name], recorded_order=recorded_order))
 
     def table(self, message: Message, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
-        """Return the table in a message of this run; check it (`codec.checked`) if its topic is given.
+        """Return the table in a message of this run.
+
+        Args:
+            message: the message, from `messages`.
+            topic: topic of the table (an entry of `impact_rig.topics`), whose columns and values are then checked; None
+                allows any.
+            needs: further required columns, such as the channels of a scan.
 
         Raises:
             RecordingError: the message is not a valid table.
@@ -323,6 +380,12 @@ class Run:
     def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:
         """Yield the tables of a topic as `tables` does, each with its message.
 
+        Args:
+            topic: name of the topic.
+
+        Yields:
+            Pairs of message and table.
+
         Raises:
             RecordingError: as for `tables`.
         """
@@ -332,7 +395,13 @@ class Run:
     def to_dataframe(self, topic: str) -> Any:
         """Return the rows of a table topic as a `pandas.DataFrame`.
 
-        Its columns are `time`, `timestamp` and `earlier` (see `impact_rig.recording.columns`) and those of the table.
+        Args:
+            topic: name of the topic, such as `daq/scan`.
+
+        Returns:
+            One row per row of the tables, with their columns in SI units. Three columns precede them: `time` [s] since
+            the first scan of the recording, `timestamp`, the same time as a date, and `earlier`, 1 for messages that
+            were published before the recording began.
 
         Raises:
             RecordingError: as for `tables`; or the topic holds no message or changes its columns.
@@ -341,7 +410,14 @@ class Run:
         return columns.to_dataframe(self, topic)
 
     def to_xarray(self, topic: str) -> Any:
-        """Return the rows of a table topic as an `xarray.Dataset` over `time`; attributes give unit and description.
+        """Return the rows of a table topic as an `xarray.Dataset` over `time`.
+
+        Args:
+            topic: name of the topic, such as `daq/scan`.
+
+        Returns:
+            One variable per column of the tables, with unit and description as attributes. The coordinates are `time`,
+            `timestamp` and `earlier`, as in `to_dataframe`.
 
         Raises:
             RecordingError: as for `tables`; or the topic holds no message or changes its columns.
@@ -461,20 +537,33 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
         rig: namespace of the rig that relative names refer to; None means the only rig.
 
     Returns:
-        The run, a context manager.
+        The run. It is a context manager that closes the files, and is read on demand.
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
-        BudgetError: the recording exceeds a limit of reading, such as the size of a chunk.
+        ImpactRigError: the recording exceeds a limit of reading, such as the size of a chunk.
 
     Examples:
-        >>> import pathlib, impact_rig
+        Record one second, and read it block by block:
+
+        >>> import impact_rig
         >>> rig = impact_rig.LocalRig()
         >>> rig.run(seconds=1)
-        >>> path = rig.save(pathlib.Path("opened"))
+        >>> path = rig.save("opened")
         >>> with impact_rig.open_run(path) as run:
         ...     print(sum(len(table.rows) for table in run.tables("daq/scan")))
         10000
+
+        All scans as a data frame of pandas:
+
+        >>> with impact_rig.open_run(path) as run:
+        ...     run.to_dataframe("daq/scan").shape
+        (10000, 8)
+
+    See Also:
+        - `Run`: what an open run offers.
+        - `info`: checks whether a run is complete.
+        - `LocalRig` (`save`, `record`): writes runs.
     """
     return Run(path, rig)
 

@@ -38,16 +38,38 @@ _OVERHEAD_BYTES = 1000  # upper limit of header and columns in a table's message
 class RigConfig:
     """Configuration of a rig, one section per part; frozen.
 
-    The defaults are the paper's rig as identified (`config/nominal.yaml`). docs/reference/configuration.md describes
-    every value, with unit, range and origin. Use `load_config` to read a file, and `attrs.evolve` to change a section.
+    The defaults are the paper's rig, with the constants that were fitted to its results (`config/nominal.yaml`).
+    docs/reference/configuration.md describes every value, with unit, range and origin.
+
+    Attributes:
+        structure: superior base on its columns: mass, natural frequency, damping.
+        shaker: shaker and inferior base: masses, suspension, force factor, limits.
+        drive: initial drive: waveform, frequency, amplitude.
+        sphere: whether there is a sphere; its mass, size and start.
+        barriers: gap between the barriers, and their material.
+        contact: law of the contact between sphere and barriers, and coefficient of restitution.
+        daq: data acquisition: scans per second, scans per block, seed of the noise.
+        instruments: sensors, converter and planned faults.
+        time: rig time relative to wall time: real time, free-running or lockstep.
+        step: number of blocks per request of a rig in lockstep.
+        pluck: displacement of a pluck test.
+        output: topics that are published on request.
 
     Raises:
         ConfigError: sections contradict each other; each section checks its own values.
 
     Examples:
-        >>> import impact_rig
-        >>> impact_rig.RigConfig().barriers.gap_m
-        0.006
+        >>> import attrs, impact_rig
+        >>> config = impact_rig.RigConfig()
+        >>> config.barriers.gap_m, config.daq.rate_hz
+        (0.006, 10000)
+        >>> wider = attrs.evolve(config, barriers=attrs.evolve(config.barriers, gap_m=0.010))
+        >>> wider.barriers.gap_m
+        0.01
+
+    See Also:
+        - `load_config`: reads a file.
+        - `LocalRig`: accepts a configuration, or only the values that differ.
     """
 
     structure: Structure = attrs.field(factory=Structure)
@@ -111,6 +133,12 @@ def load_config(path: Path | str, overrides: Mapping[str, object] | None = None)
         >>> _ = pathlib.Path("mine.yaml").write_text("barriers: {gap_m: 0.008}")
         >>> impact_rig.load_config("mine.yaml").barriers.gap_m
         0.008
+        >>> impact_rig.load_config("mine.yaml", {"barriers.gap_m": 0.004}).barriers.gap_m
+        0.004
+
+    See Also:
+        - `RigConfig`: its sections.
+        - docs/reference/configuration.md: every value, with unit, range and origin.
     """
     return TREE.load(path, overrides)
 

@@ -157,9 +157,9 @@ EMERGENCY = "emergency stop"
 class Rig:
     """Virtual test rig as a pure object: time is an argument, and nothing sleeps.
 
-    Most programs use `LocalRig` or `RosRig` instead, which add the analysis, recordings and the topics. Inputs take
-    effect on a command grid of 10 ms, at the first instant that is not yet simulated. The same configuration and inputs
-    give the same bits on every machine.
+    Most programs use `LocalRig` or `RosRig` instead, which add analysis, recordings and topics. `advance` simulates and
+    returns blocks of scans. An input, such as `accept`, takes effect at the frontier: the first time on a grid of 10 ms
+    that is not simulated yet. The same configuration and inputs give the same bits on every machine.
 
     Args:
         config: configuration of the rig.
@@ -176,6 +176,11 @@ class Rig:
         >>> blocks = rig.advance(until_ns=10**9)
         >>> len(blocks), blocks[0].scan.rows["laser"].shape
         (100, (100,))
+
+    See Also:
+        - `LocalRig`: this rig with analysis, recording and tables that are kept.
+        - `Tracker`: measures the blocks.
+        - docs/explanation/physics.md: the equations, with their sources.
     """
 
     start_ns: int  # stamp of scan 0; a reset moves it to the present
@@ -264,10 +269,11 @@ class Rig:
         return self._generator.stream
 
     def blocks_with_samples(self, most: int) -> int:
-        """Return how many of the next `most` blocks a rig that waits for samples may simulate: those with samples.
+        """Return how many of the next blocks a rig that waits for samples may simulate.
 
-        It is `most` if the drive is not a stream, does not wait (`drive.stream_wait`), or gets no more samples because
-        the stream has ended or was stopped.
+        Args:
+            most: number of blocks of interest. It is the result if the drive is not a stream, does not wait
+                (`drive.stream_wait`), or gets no more samples because the stream has ended or was stopped.
         """
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
@@ -289,7 +295,11 @@ class Rig:
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
 
     def block_end_ns(self, blocks: int) -> int:
-        """Return the rig time at which `blocks` more blocks are complete [ns]."""
+        """Return the rig time at which further blocks are complete [ns].
+
+        Args:
+            blocks: number of blocks.
+        """
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
     def info(self) -> Table:
@@ -303,10 +313,17 @@ class Rig:
     # Time
 
     def advance(self, until_ns: int) -> list[Block]:
-        """Simulate until every block that ends by the rig time `until_ns` is complete, and return those blocks.
+        """Simulate up to a rig time, and return the blocks that are then complete.
 
-        Ticks that end by then are simulated even if their block is incomplete, so a long block is not computed all at
-        once. The last tick of a complete block is always simulated completely.
+        A block that ends later is simulated in part, so a long block is not computed all at once.
+
+        Args:
+            until_ns: rig time [ns].
+
+        Returns:
+            Blocks, oldest first. Of each, `scan` is the table of `daq/scan`; `number`, `first_scan` and `end_ns` say
+            when it was measured. `impacts`, `faults` and `truth` are tables of the true events and motion, or None.
+            `lost` says that a fault withholds the scans.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
@@ -395,11 +412,14 @@ class Rig:
     # Inputs: commands and parameters act at the frontier and are journaled there; faults and samples at their own scans
 
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
-        """Apply a command to the drive at the frontier, and return the row that is published on `shaker/applied`.
+        """Apply a command to the drive at the frontier.
 
         Args:
-            frequency_hz: new frequency, for a sine only; None leaves it unchanged.
+            frequency_hz: new frequency [Hz], for a sine only; None leaves it unchanged.
             amplitude: new amplitude, peak (rms for random drive), in A, m or V by `drive.kind`. None: unchanged.
+
+        Returns:
+            The table that is published on `shaker/applied`: one row with the first scan that the command acts on.
 
         Raises:
             CommandError: out of range, not finite, not accepted by the waveform (a frequency is for a sine alone), or
@@ -424,7 +444,7 @@ class Rig:
         return self._add_applied()
 
     def feed(self, first_sample: int, values: ArrayLike) -> int:
-        """Store samples of the stream from number `first_sample` on; return the number of late ones.
+        """Store samples of the stream that drives the rig (`drive.waveform: stream`).
 
         Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. A sample that is not yet active may be
         replaced, and a repeated sample counts once. An empty array ends the stream at `first_sample`. Other missing
@@ -432,7 +452,10 @@ class Rig:
 
         Args:
             first_sample: number of the first sample.
-            values: A, m or V by `drive.kind`, shape (n,).
+            values: samples [A, m or V by `drive.kind`], shape (n,).
+
+        Returns:
+            Number of samples that arrived too late.
 
         Raises:
             CommandError: a value is not finite or exceeds the shaker, the samples reach beyond `drive.stream_buffer_s`,
@@ -451,7 +474,10 @@ class Rig:
         return late
 
     def sample_at(self, stamp_ns: int) -> int:
-        """Return the number of the stream's sample that is due at the rig time `stamp_ns`.
+        """Return the number of the stream's sample that is due at a rig time.
+
+        Args:
+            stamp_ns: rig time [ns].
 
         Raises:
             CommandError: the time is more than a quarter of a sample off.
@@ -468,13 +494,19 @@ class Rig:
         return sample
 
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
-        """Change configuration values, all or none, at the frontier; return the new configuration.
+        """Change configuration values at the frontier, all or none.
 
         Gap, law, sphere and all other parts of the mechanics, the instruments and the interlock's limits change at
         once. After a change of the mechanics (all of structure, shaker, sphere, barriers and contact except limits and
         ramp of the shaker) the sphere rests at `sphere.start` again, and the energy account restarts. The drive's
         initial values and the seed apply at the next reset. A line added to the planned faults is injected, with its
         `start_s` counted from now; a removed line is cleared.
+
+        Args:
+            changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
+
+        Returns:
+            The new configuration.
 
         Raises:
             ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
@@ -487,7 +519,11 @@ class Rig:
         return config
 
     def adopt(self, config: RigConfig, changed: Mapping[str, Value]) -> None:
-        """Apply a configuration that differs from the present one in the values `changed`, as `configure` does.
+        """Apply a configuration that differs from the present one in some values, as `configure` does.
+
+        Args:
+            config: the new configuration.
+            changed: the values that differ, by full name.
 
         Raises:
             ConfigError: the values contradict each other, or cannot be simulated together; nothing is changed.
@@ -531,10 +567,13 @@ class Rig:
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the inferior base and release the superior base from x_1 = `displacement_m`: free decay until a reset.
+        """Lock the inferior base and release the superior base from rest at a displacement: free decay until a reset.
+
+        Args:
+            displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
 
         Raises:
-            CommandError: `displacement_m` is outside the range of the parameter `pluck.displacement_m`.
+            CommandError: the displacement is out of range.
         """
         try:
             Pluck(displacement_m=displacement_m)
@@ -549,6 +588,9 @@ class Rig:
         """Ramp the shaker to zero within `shaker.stop_ramp_s` and latch it until `clear_trip`: the emergency stop.
 
         A rig that has not simulated anything yet never starts to move.
+
+        Args:
+            reason: reason to report, by default "emergency stop".
         """
         self._add_entry(InputKind.STOP)
         self._latch(reason)
@@ -561,7 +603,13 @@ class Rig:
             self._interlock.reset()
 
     def inject(self, fault: Fault) -> int:
-        """Start an instrument fault on demand and return its id.
+        """Start an instrument fault at its `start_sample`.
+
+        Args:
+            fault: the fault; its `start_sample` must not be measured yet.
+
+        Returns:
+            Number of the fault since the reset, from 1.
 
         Raises:
             CommandError: kind or channel is unknown, or the fault starts at a scan that is already measured.
@@ -571,7 +619,11 @@ class Rig:
         return number
 
     def clear_fault(self, number: int | None = None) -> None:
-        """End the instrument fault with the id `number` (None: all of them) at the first scan not yet measured."""
+        """End instrument faults at the first scan that is not measured yet.
+
+        Args:
+            number: number of the fault, as returned by `inject`; None ends all of them.
+        """
         self._chain.clear(number)
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 

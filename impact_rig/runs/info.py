@@ -112,25 +112,34 @@ class RunInfo:
 
 
 def info(path: Path | str) -> RunInfo:
-    """Read a complete run and return its summary: contents, losses, checksums and a verdict.
+    """Read a complete run, and return its summary: contents, losses, checksums and a verdict.
 
     Args:
         path: a run directory or an MCAP file.
 
     Returns:
-        The summary; `verdict` is one sentence about the run's integrity.
+        The summary. `verdict` is one sentence about the run's integrity, and `intact` is true if all checksums match
+        and no message is missing. `start_ns` and `end_ns` are log times [ns], `rate_hz` is the scan rate, `topics`
+        lists the recorded topics, `scans` counts scans and gaps, and `lost` counts the messages that never reached the
+        recorder.
 
     Raises:
         RecordingError: there is no recording, it is not finished, or its index is damaged. A damaged chunk does not
             raise: the verdict names it, and the figures cover the messages before it.
 
     Examples:
-        >>> import pathlib, impact_rig
+        >>> import impact_rig
         >>> rig = impact_rig.LocalRig()
         >>> rig.run(seconds=1)
-        >>> summary = impact_rig.info(rig.save(pathlib.Path("summarised")))
+        >>> summary = impact_rig.info(rig.save("summarised"))
         >>> summary.rate_hz, summary.scans.scans, summary.intact
         (10000.0, 10000, True)
+        >>> print(summary.verdict)
+        whole: every checksum fits, 100 blocks of daq/scan without a gap, no message lost on any topic
+
+    See Also:
+        - `verify`: compares the content with a new simulation.
+        - docs/reference/command_line.md: `impact-rig info` prints the summary, `impact-rig recover` repairs a run.
     """
     with open_run(path) as run:
         tally = _Tally(run)

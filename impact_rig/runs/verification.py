@@ -119,18 +119,24 @@ def verify(run: Run) -> Verification:
         run: an open run.
 
     Returns:
-        The result; `identical` is true if every compared sample is equal bit for bit, and `str` describes it.
+        The result. `identical` is true if every compared sample is equal bit for bit, false if not, and None if the run
+        cannot be verified. `reason` then says why, `scans` counts the scans compared, and `topics` has the result of
+        each topic. `str` describes the result in one line.
 
     Raises:
         RecordingError: the run contains no scans, or is damaged.
 
     Examples:
-        >>> import pathlib, impact_rig
+        >>> import impact_rig
         >>> rig = impact_rig.LocalRig()
         >>> rig.run(seconds=1)
-        >>> with impact_rig.open_run(rig.save(pathlib.Path("verified"))) as run:
+        >>> with impact_rig.open_run(rig.save("verified")) as run:
         ...     print(impact_rig.verify(run))
         identical: 10000 scans re-simulated bit for bit
+
+    See Also:
+        - `info`: checks checksums and losses, without a simulation.
+        - docs/explanation/recordings.md: what is compared, and what is not.
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         version = arithmetic_of(run.provenance)

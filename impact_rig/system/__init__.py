@@ -31,6 +31,7 @@ def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], o
     """
 
     def find(name: str) -> object:
+        """Load a public name at its first use."""
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home = homes[name]
@@ -38,4 +39,5 @@ def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], o
         found = load_ros(module, f"{package}.{name}") if home == needs_ros else importlib.import_module(module)
         return getattr(found, name)
 
+    find.__name__ = "__getattr__"  # as `help` shows it
     return find

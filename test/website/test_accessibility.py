@@ -40,6 +40,7 @@ WIDE, NARROW = 1280, 400
         ("index", NARROW, "dark"),
         ("explanation/rig", NARROW, "light"),
         ("tutorials/first_node", WIDE, "dark"),
+        ("reference/api", NARROW, "light"),
     ],
 )
 def test_pages_of_the_website(site, browser, name, width, scheme):

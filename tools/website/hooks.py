@@ -19,7 +19,10 @@ import re
 from pathlib import Path
 from typing import Any
 
+import griffe
 from mkdocs.structure.files import File
+
+import impact_rig
 
 ROOT = Path(__file__).parents[2]
 ICON = ROOT / "impact_rig_lab" / "static" / "icon.svg"
@@ -28,7 +31,34 @@ RIG = ROOT / "build" / "rig" / "index.html"
 _RIG_HERE = "<!-- rig in the browser -->"
 _SEARCH = 'data-md-component="search" role="dialog"'
 _FENCE = re.compile(r"^(?P<ticks>```+)(?P<language>\w+) (?P<info>.+)$", re.MULTILINE)
+API = "reference/api.md"
+_PUBLIC = re.compile(rf"<code>({'|'.join(impact_rig.__all__)})</code>")
+_PAGE = re.compile(r"\bdocs/([\w/-]+\.md)\b")
 _COMMENT = re.compile(r"<!-- (?:figures|generated): .*? -->\n?|<!-- end -->\n?", re.DOTALL)
+
+
+class Defaults(griffe.Extension):
+    """Extension of the API's reader that shows the value of a default, not the name of the constant."""
+
+    def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
+        """Replace the names of constants in the defaults of all functions."""
+        modules = [pkg]
+        while modules:
+            module = modules.pop()
+            modules += [one for one in module.modules.values() if not one.is_alias]
+            owners = (module, *(one for one in module.classes.values() if not one.is_alias))
+            for parameter in (
+                one
+                for owner in owners
+                for func in owner.functions.values()
+                if not func.is_alias
+                for one in func.parameters
+            ):
+                if isinstance(parameter.default, griffe.ExprName) and parameter.default.name in module.members:
+                    constant: Any = module.members[parameter.default.name]
+                    constant = constant.final_target if constant.is_alias else constant
+                    if isinstance(constant, griffe.Attribute) and isinstance(constant.value, str):
+                        parameter.default = constant.value
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -45,6 +75,19 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         _RIG_HERE, "[Run the rig in this browser](images/impact_rig.html)" if RIG.exists() else ""
     )
     return _FENCE.sub(_fence, _COMMENT.sub("", markdown))
+
+
+def on_page_content(html: str, page: Any, files: Any, **_: Any) -> str:
+    """Link what docstrings name on the page of the API: public names, and pages by their paths."""
+    if page.file.src_uri != API:
+        return html
+    html = _PUBLIC.sub(r'<a href="#impact_rig.\1"><code>\1</code></a>', html)
+    return _PAGE.sub(lambda found: _link(found[0], found[1], page.file, files), html)
+
+
+def _link(text: str, path: str, origin: File, files: Any) -> str:
+    target = files.get_file_from_path(path)
+    return f'<a href="{target.url_relative_to(origin)}">{text}</a>' if target else text
 
 
 def on_post_page(output: str, **_: Any) -> str:

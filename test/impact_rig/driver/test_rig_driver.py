@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -137,3 +138,15 @@ def test_a_topic_that_is_not_kept_is_named_with_those_that_are(start: Start) -> 
     for read in (rig.tables, rig.rows):
         with pytest.raises(ConfigError, match=r"'truth/scan' is not kept, only daq/info, daq/scan, .*`also`"):
             read("truth/scan")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"analysis": {"window": 8}}, "unknown setting 'window' of the analysis, did you mean 'windows'?"),
+        ({"also": ["truth/scans"]}, "unknown topic 'truth/scans' in `also`, did you mean 'truth/scan'?"),
+    ],
+)
+def test_an_unknown_setting_or_topic_is_rejected(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        LocalRig(**given)
