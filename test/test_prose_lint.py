@@ -100,6 +100,11 @@ def test_history_is_found_in_comments_only():
     assert [one.rule for one in prose_lint.of_python("test/x.py", source)] == ["history"]
 
 
+def test_literal_blocks_one_after_the_other_are_no_prose():
+    block = "\n    >>> " + "word " * 60 + "\n"
+    assert not [one for one in prose_lint.sentences(f"Say it.\n{block}{block}") if "word" in one]
+
+
 def test_a_page_has_short_sentences():
     short, long = "The rig waits for the reader. ", f"The rig {'very ' * 40}slowly waits. "
     assert not list(prose_lint.of_page("x.md", f"# Title\n\n{short * 9}\n"))
