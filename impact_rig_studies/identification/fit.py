@@ -335,7 +335,7 @@ TRIED, WORSE = 3, 24.0  # number of factors that start a fit, and largest excess
 COARSE_E = np.arange(-30, 31) / 10.0
 """First values of e: distances from the nominal e in prior standard uncertainties.
 
-Right explanations were seen over a range of e of 0.12 of it, at which a step of 0.25 passed without a sign of them.
+The minimum of χ² at the right e can be as narrow as 0.12 of this uncertainty; a step of 0.25 misses it.
 """
 MINIMA = 6  # number of values of e from which a minimum is searched
 PROPOSED = 4  # number of steps towards each minimum
