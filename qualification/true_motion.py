@@ -102,9 +102,9 @@ def replicated(response: Response, *, sphere: bool, seed: int) -> tuple[Replicat
     plan = ReplicatePlan(response=response, identify_rms=0.15 if superior else 2.0, high_hz=25.0 if superior else 150.0)
     hardware, best, errors = TrueHardware(RATE_HZ, sphere__present=sphere, daq__seed=seed), None, math.nan
     for best in replicate(hardware, asked, plan):
-        if best.errors[-1] == min(best.errors):
+        if best.repeated is None and best.errors[-1] == min(best.errors):
             true = hardware.truth[TRUE[response]].astype(float)
-            true -= true[best.lead // 4 : best.lead // 2].mean()
+            true -= true[best.quiet].mean()
             errors = best.relative(true[best.lead : best.lead + len(asked)] - asked)
     assert best is not None
     return best, errors
@@ -119,9 +119,9 @@ def shocked(seed: int) -> tuple[Shocked, dict[str, float]]:
     on = slice(round(pulse.compensation_s * SHOCK_HZ), round((pulse.compensation_s + pulse.duration_s) * SHOCK_HZ))
     for best in shock(hardware, pulse):
         errors = best.followed.errors
-        if errors[-1] == min(errors):
+        if best.followed.repeated is None and errors[-1] == min(errors):
             moved = hardware.truth["x_b"].astype(float)
-            moved -= moved[best.followed.lead // 4 : best.followed.lead // 2].mean()
+            moved -= moved[best.followed.quiet].mean()
             moved = moved[best.followed.lead : best.followed.lead + len(best.asked)]
             velocity, reached = differentiated(moved, SHOCK_HZ, corner_hz)
             srs = shock_response_spectrum(reached, SHOCK_HZ, best.frequency_hz)

@@ -269,7 +269,7 @@ def _add_replicate(tests: Commands) -> None:
     _add_signal(parser, "the one that follows")
     parser.add_argument(
         "--plan", type=Path, metavar="FILE",
-        help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 10 trials"),
+        help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 20 trials"),
     )  # fmt: skip
     _add_stream_options(parser, "replicate", RATE_HZ)
 

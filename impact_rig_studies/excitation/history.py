@@ -18,7 +18,9 @@ response, H the response function from drive to response, and F⁻¹ the inverse
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
 
-The gain g is 1 and halves after each trial that is worse than the best one: with a sphere the response is not linear.
+The gain g is 1, halves after each trial that is worse than the best one, and doubles after a better one up to 1: with a
+sphere the response is not linear. It may also jump where an impact appears, so no gain need help. Then the next
+correction starts from the latest trial.
 
 A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`). The error
 is judged in the controlled band. The floor of the error is what the sensor's noise in that band and the uncertainty of
@@ -27,6 +29,12 @@ its gain can explain.
 H is measured first, at the frequency lines of a repeated frame. The frame must be longer than the structure takes to
 stop ringing, since the impulse response of 1 / H is as long at an antiresonance of the base. A trial begins and ends at
 rest and is corrected at the same lines.
+
+Corrections remove only what repeats. A sphere that rolls freely never comes to rest. It begins each trial at another
+place, so equal drives give different responses. If equal trials differ by more than noise, each trial begins with a
+burst: a sine at the resonance of the superior base. If the sphere's motion in the burst is regular, it does not depend
+on what preceded it. Not every amplitude gives a regular motion, so bursts are tried until equal trials agree. Neither
+the drive of a burst nor the motion of the superior base in it exceeds that of the history.
 """
 
 from __future__ import annotations
@@ -44,12 +52,19 @@ from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig_studies.excitation.response import Response
 from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
-LEAST_GAIN = 0.2  # gain of a correction, below which the trials end
+LEAST_GAIN = 0.2  # gain below which a correction is given up
 
 ABOVE = 1.25  # frequency at which the correction has faded out, as a multiple of the upper band edge
 FRAMES = 3  # number of measured frames of the identification of H; one more precedes them
 BESIDE = 25  # number of frequency lines over which the noise of H is averaged
 NOISES = 4.0  # multiple of the variance of H's noise that is added to |H|² where it divides
+
+REPEATS = 5  # number of equal trials that must agree
+WEAKER = 0.1  # step by which the drive of the trials between them decreases, so that each has another past
+AGREEMENT = 1.2, 0.1  # largest scatter of trials that agree: multiple of the sensor's noise, fraction of `enough`
+BURSTS = (0.0, 1.0, 0.8, 0.64, 0.5, 0.4, 0.32)
+"""Amplitudes of the bursts that are tried, as fractions of the largest possible one."""
+BURST_EDGE_S = 0.5  # duration of the rise and of the fall of a burst [s]
 
 
 @attrs.frozen(kw_only=True)
@@ -64,17 +79,19 @@ class ReplicatePlan:
         rest_s: time without drive before and after the history in each trial [s].
         identify_rms: rms of the drive while the response function is measured [A].
         identify_s: time by which a frame of that measurement is longer than a trial [s]; four frames are played.
+        burst_s: duration of the burst before each trial, if one is needed [s]; at most `identify_s` is used.
         response: response that follows the history, one of `Response`.
         seed: seed of the random phases of that measurement.
     """
 
     low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
     high_hz: float = attrs.field(default=150.0, validator=attrs.validators.gt(0.0))
-    iterations: int = attrs.field(default=10, validator=attrs.validators.ge(1))
+    iterations: int = attrs.field(default=20, validator=attrs.validators.ge(1))
     enough: float = attrs.field(default=0.005, validator=attrs.validators.ge(0.0))
     rest_s: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
     identify_rms: float = attrs.field(default=2.0, validator=attrs.validators.gt(0.0))
     identify_s: float = attrs.field(default=32.0, validator=attrs.validators.gt(0.0))
+    burst_s: float = attrs.field(default=8.0, validator=attrs.validators.ge(2.0 * BURST_EDGE_S))
     response: Response = attrs.field(default=Response.BASE, converter=Response)
     seed: int = 1
 
@@ -91,11 +108,19 @@ class Replicated:
 
     If `reached` differs, the rig is not linear, or its sensors are noisy.
     """
-    drive: Real  # drive of the whole best trial, with the rest before and after the history, shape (m,) [A]
+    drive: Real  # drive of the whole best trial, with burst and rest before the history and rest after it, (m,) [A]
+    burst: int  # number of samples in `drive` of the burst and the rest around it; 0 without a burst
     lead: int  # number of samples in `drive` before the history
     errors: tuple[float, ...]  # rms error over rms of the requested history, for each trial so far
     floor: float
     """Value of such an error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
+    repeated: float | None = None  # such an error of a repetition of the best drive; None before it was played
+
+    @property
+    def quiet(self) -> slice:
+        """Samples in `drive` before the history in which the rig is at rest: there the response counts as zero."""
+        rest = self.lead - self.burst
+        return slice(self.burst + rest // 4, self.burst + max(1, rest // 2))
 
     def relative(self, rest: Real) -> float:
         """Return the rms of a difference from the requested history, divided by the rms of that history.
@@ -115,8 +140,9 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
         plan: settings.
 
     Yields:
-        After each trial the best result so far, with the errors of all trials. They end when the error is small enough,
-        when corrections no longer improve it, or after the maximum number.
+        After each trial the best result so far, with the errors of all trials. They end when the error is small enough
+        or after the maximum number, and without a burst also when corrections no longer improve it. The last result,
+        after a repetition of the best drive, differs only in `repeated`.
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.
@@ -130,44 +156,107 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
     history = slice(lead, lead + len(asked))
     target[history] = asked
     calibration = Calibration.from_info(hardware.info())
-    h, inverse = _identify(hardware, plan, length, calibration)
-    drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
-    fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(played) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
-    fade *= fade[::-1]  # at rest where a trial begins and ends, including the correction of an offset
+    (h, inverse), superior = _identify(hardware, plan, length, calibration)
     top_hz = min(ABOVE * plan.high_hz, 0.5 * rate_hz)
-    noise = float(plan.response.noises(calibration, len(asked), 1, top_hz).std() / np.sqrt(np.mean(asked**2)))
+    rms = float(np.sqrt(np.mean(asked**2)))
+    noise = float(plan.response.noises(calibration, len(asked), 1, top_hz).std()) / rms
     floor = math.hypot(noise, 2.0 * float(calibration.gain_uncertainty[plan.response.channel_index]))
+    agreement = max(AGREEMENT[0] * noise, AGREEMENT[1] * plan.enough)
+    fade = _fade(played, lead)
+
+    def respond(burst: Real, drive: Real) -> Real:
+        read = hardware.respond(np.concatenate([burst, drive[:played]]))
+        found = plan.response.of(read, calibration, top_hz)[len(burst) :]
+        return np.asarray(found - found[lead // 4 : max(1, lead // 2)].mean())
+
+    drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
+    drive[:played] *= fade
+    drive[played:] = 0.0
+    largest, burst, scatter = _burst(plan, rate_hz, drive, *superior), np.empty(0), math.inf
+    for amplitude in BURSTS:
+        tried = amplitude * largest if amplitude else np.empty(0)
+        found, differ = [respond(tried, drive)[history]], 0.0
+        while len(found) < REPEATS and differ <= agreement:
+            respond(tried, (1.0 - WEAKER * len(found)) * drive)  # another past
+            found.append(respond(tried, drive)[history])
+            differ = float(np.sqrt(np.var(found, axis=0, ddof=1).mean())) / rms
+        if differ < scatter:
+            burst, scatter = tried, differ
+        if differ <= agreement:
+            break
     errors: list[float] = []
     best: Replicated | None = None
-    gain, correction = 1.0, np.zeros(length)
+    gain = 1.0
     for _ in range(plan.iterations):
-        drive[:played] *= fade
-        drive[played:] = 0.0
-        found = plan.response.of(hardware.respond(drive[:played]), calibration, top_hz)
-        found = found - found[lead // 4 : max(1, lead // 2)].mean()
+        reached = respond(burst, drive)
         miss = np.zeros(length)
-        miss[:played] = fade * (target[:played] - found)
-        errors.append(float(np.sqrt(np.mean(miss[history] ** 2) / np.mean(asked**2))))
+        miss[:played] = fade * (target[:played] - reached)
+        errors.append(float(np.sqrt(np.mean(miss[history] ** 2))) / rms)
         improves = best is None or errors[-1] <= min(errors)
         if improves:
-            correction = np.fft.irfft(inverse * np.fft.rfft(miss), length)
             linear = np.fft.irfft(h * np.fft.rfft(drive), length)[history]
             best = Replicated(
-                rate_hz=rate_hz, asked=asked, reached=found[history], linear=linear, drive=drive[:played].copy(),
-                lead=lead, errors=(), floor=floor,
+                rate_hz=rate_hz, asked=asked, reached=reached[history], linear=linear,
+                drive=np.concatenate([burst, drive[:played]]), burst=len(burst), lead=len(burst) + lead, errors=(),
+                floor=floor,
             )  # fmt: skip
         assert best is not None
         yield attrs.evolve(best, errors=tuple(errors))
-        gain = gain if improves else 0.5 * gain
-        if errors[-1] <= plan.enough or gain < LEAST_GAIN:
+        gain = min(1.0, 2.0 * gain) if improves else 0.5 * gain
+        given_up = gain < LEAST_GAIN
+        if errors[-1] <= plan.enough or (given_up and not len(burst)):
             break
-        drive = np.concatenate([best.drive, np.zeros(length - played)]) + gain * correction
+        if improves or given_up:
+            start, correction = drive[:played].copy(), np.fft.irfft(inverse * np.fft.rfft(miss), length)[:played]
+            gain = 1.0 if given_up else gain
+        drive[:played] = fade * (start + gain * correction)
+    assert best is not None
+    again = respond(burst, best.drive[len(burst) :])[history]
+    yield attrs.evolve(best, errors=tuple(errors), repeated=best.relative(again - asked))
+
+
+def _fade(count: int, lead: int) -> Real:
+    """Return a window that is 1 during a signal, and 0 in the outer halves of the rests before and after it.
+
+    Args:
+        count: number of samples with both rests.
+        lead: number of samples of each rest.
+    """
+    fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(count) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
+    return np.asarray(fade * fade[::-1])
+
+
+def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
+    """Return the drive of the largest burst, with a rest before and after it [A], shape (n,).
+
+    Args:
+        plan: settings.
+        rate_hz: number of samples per second.
+        drive: drive of the history in a frame [A], shape (m,).
+        h: response function of the superior base at the frequency lines of such a frame.
+        inverse: its inverse.
+    """
+    length, lead = len(drive), round(plan.rest_s * rate_hz)
+    count = min(round(min(plan.burst_s, plan.identify_s) * rate_hz), length - 2 * lead)
+    cycles = (1 + int(np.argmax(np.abs(h[1:])))) / length * np.arange(count)
+    edges = scipy.signal.windows.tukey(count, min(1.0, 2.0 * BURST_EDGE_S * rate_hz / count))
+    moved, burst = np.zeros((2, length))
+    moved[lead : lead + count] = edges * np.sin(2.0 * np.pi * cycles)
+    burst[: count + 2 * lead] = np.fft.irfft(inverse * np.fft.rfft(moved), length)[: count + 2 * lead]
+    burst[: count + 2 * lead] *= _fade(count + 2 * lead, lead)
+
+    def peaks(samples: Real) -> Real:
+        return np.array([np.abs(samples).max(), np.abs(np.fft.irfft(h * np.fft.rfft(samples), length)).max()])
+
+    return np.asarray((peaks(drive) / peaks(burst)).min() * burst[: count + 2 * lead])
 
 
 def _identify(
     hardware: Hardware, plan: ReplicatePlan, length: int, calibration: Calibration
-) -> tuple[Complex, Complex]:
-    """Measure the response function H from the drive to the response by playing pseudo-random noise.
+) -> list[tuple[Complex, Complex]]:
+    """Measure the response function H from the drive to each of two responses by playing pseudo-random noise.
+
+    The responses are that of the plan, and the displacement of the superior base.
 
     Args:
         hardware: output and acquisition.
@@ -176,8 +265,8 @@ def _identify(
         calibration: calibration of the sensors.
 
     Returns:
-        H, and 1 / H faded out at the edges of the band and reduced where noise hides H; each at the lines of
-        `numpy.fft.rfft`, and 0 outside of the band.
+        For each response H, and 1 / H faded out at the edges of the band and reduced where noise hides H; each at the
+        lines of `numpy.fft.rfft`, and 0 outside of the band.
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
@@ -192,22 +281,28 @@ def _identify(
     )
     drive = excitation.samples(rate_hz)
     read = hardware.respond(drive, round(plan.rest_s * rate_hz))
-    found = plan.response.of(read, calibration, 0.5 * rate_hz)[: len(drive)]
     frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     rise = np.clip((frequency - low_hz) / max(0.5 * plan.low_hz, 1e-9), 0.0, 1.0)
     fall = np.clip((high_hz - frequency) / (0.25 * plan.high_hz), 0.0, 1.0)
     edge = np.sin(0.5 * np.pi * np.minimum(rise, fall)) ** 2
     inside = edge > 0.0
-    x, frames = np.fft.rfft(drive[:length]), np.fft.rfft(found[length:].reshape(FRAMES, length))
-    h, inverse = np.zeros((2, len(frequency)), np.complex128)
-    h[inside] = frames.mean(axis=0)[inside] / x[inside]
-    # the part that does not repeat is noise, similar on neighbouring lines: where it hides H, little is corrected
-    noise = np.convolve(frames.var(axis=0, ddof=1) / FRAMES, np.full(BESIDE, 1.0 / BESIDE), "same")
+    x = np.fft.rfft(drive[:length])
     if plan.low_hz == 0.0:  # the static response is that of the springs, as on the lowest line
-        edge[0], inside[0], x[0], h[0] = 1.0, True, abs(x[1]), abs(h[1])
-    floor = noise[inside] / np.abs(x[inside]) ** 2
-    inverse[inside] = edge[inside] * np.conj(h[inside]) / (np.abs(h[inside]) ** 2 + NOISES * floor)
-    return h, inverse
+        edge[0], inside[0], x[0] = 1.0, True, abs(x[1])
+    functions = []
+    for response in (plan.response, Response.SUPERIOR):
+        found = response.of(read, calibration, 0.5 * rate_hz)[length : len(drive)]
+        frames = np.fft.rfft(found.reshape(FRAMES, length))
+        h, inverse = np.zeros((2, len(frequency)), np.complex128)
+        h[inside] = frames.mean(axis=0)[inside] / x[inside]
+        if plan.low_hz == 0.0:
+            h[0] = abs(h[1])
+        # the part that does not repeat is noise, similar on neighbouring lines: where it hides H, little is corrected
+        noise = np.convolve(frames.var(axis=0, ddof=1) / FRAMES, np.full(BESIDE, 1.0 / BESIDE), "same")
+        floor = noise[inside] / np.abs(x[inside]) ** 2
+        inverse[inside] = edge[inside] * np.conj(h[inside]) / (np.abs(h[inside]) ** 2 + NOISES * floor)
+        functions.append((h, inverse))
+    return functions
 
 
 STEP_S = 1.0  # rig time between two results of `play` [s]

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 4000  # largest number of points of a drawn line
 COHERENT = 0.9  # lowest coherence with which a line counts as measured
+CHANCE = 1.25  # error of a repetition over that of the best trial, above which the difference is not noise
 SHOWN_S = 1.0  # duration of the drawn part of a played history, around its largest sample
 
 
@@ -178,7 +179,8 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     error = found.relative(found.reached - found.asked)
     bent = found.relative(found.reached - found.linear)
     figures = {
-        "error": error, "error_floor": found.floor, "errors": found.errors, "not_linear_or_noise": bent,
+        "error": error, "error_floor": found.floor, "errors": found.errors, "error_repeated": found.repeated,
+        "burst_s": found.burst / found.rate_hz, "not_linear_or_noise": bent,
         "drive_peak_a": float(np.abs(found.drive).max()),
         "kurtosis_asked": float(scipy.stats.kurtosis(found.asked, fisher=False)),
         "kurtosis_reached": float(scipy.stats.kurtosis(found.reached, fisher=False)), "clipped_samples": 0,
@@ -187,17 +189,33 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     sentences = [
         (
             f"After {trials}, the rms error of the motion is {100 * error:.2f} % of the requested rms. The "
-            f"uncertainty of the sensor's noise and gain is {100 * found.floor:.2f} % of it (2u)."
+            f"uncertainty of the sensor's noise and gain is {100 * found.floor:.2f} % of it (2u).{_repetition(found)}"
         ),
         (
             f"The response differs by {100 * bent:.2f} % from that of a linear rig with the measured response "
             "function. The difference is distortion, and noise of the sensor."
         ),
     ]
+    last = ("repetition", found.repeated) if found.repeated else (f"trial {len(found.errors)}", found.errors[-1])
     return ResultSummary(
-        f"trial {len(found.errors)}: error {100 * found.errors[-1]:.2f} %", figures, sentences,
+        f"{last[0]}: error {100 * last[1]:.2f} %", figures, sentences,
         lambda: [_history(found, unit), _learning([100 * one for one in found.errors], "error (%)", "trial")],
     )  # fmt: skip
+
+
+def _repetition(found: Replicated) -> str:
+    """Return how a repetition of the best drive turned out, as sentences after another one; empty if there was none."""
+    if found.repeated is None:
+        return ""
+    text = f" A repetition of its drive has an error of {100 * found.repeated:.2f} %."
+    if found.repeated > CHANCE * min(found.errors):
+        text += " Equal drives give different responses, so the smaller error is chance; expect the larger one."
+    if found.burst:
+        text += (
+            f" Each trial begins with {found.burst / found.rate_hz:.0f} s for a burst at the resonance of the superior "
+            "base, because equal trials differed without it."
+        )
+    return text
 
 
 def _history(found: Replicated, unit: str) -> Drawn:

@@ -30,12 +30,13 @@ from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
-from impact_rig_studies.excitation.history import ReplicatePlan
+from impact_rig_studies.excitation.history import Replicated, ReplicatePlan
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
 from impact_rig_studies.excitation.signals import BURST, CHIRP, PSEUDO, Excitation
-from qualification.true_motion import accelerometer, replicated, shocked
+from impact_rig_studies.report.excitation import tell
+from qualification.true_motion import MOST, accelerometer, replicated, shocked
 
 pytestmark = pytest.mark.heavy
 
@@ -154,18 +155,44 @@ def test_a_compensated_pulse_leaves_nothing_behind():
     assert abs(moved[-1]) < 1e-12 < np.abs(moved).max()
 
 
-@pytest.mark.parametrize(
-    ("response", "sphere", "most"),
-    [(Response.SUPERIOR, False, 0.005), (Response.BASE, False, 0.005), (Response.BASE, True, 0.01)],
-)
-def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere, most):
-    """The sensor's lag must be corrected: the reading may follow to 0.36 % while the base is wrong by 3.0 %."""
+@pytest.mark.parametrize("sphere", [False, True])
+@pytest.mark.parametrize("response", [Response.BASE, Response.SUPERIOR])
+def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere):
+    """The sensor's lag must be corrected: the reading may follow to 0.36 % while the base is wrong by 3.0 %.
+
+    With the sphere, equal trials differ by up to 1.2 % unless each begins with the same motion of the sphere. Only
+    then is the error of a repetition the stated one.
+    """
     stated, error = replicated(response, sphere=sphere, seed=1)
     assert len(stated.errors) <= 6
     assert stated.relative(stated.reached - stated.asked) == pytest.approx(min(stated.errors))
-    assert min(stated.errors) <= most
+    assert min(stated.errors) <= MOST
     assert error <= min(stated.errors) + stated.floor
     assert stated.floor < 0.01
+    assert (stated.burst > 0) is sphere
+    assert stated.repeated == pytest.approx(min(stated.errors), rel=0.1)
+    assert not stated.drive[stated.quiet].any()
+
+
+def test_a_burst_exceeds_neither_the_drive_nor_the_motion_of_the_history():
+    """A specimen must not be shaken harder than its user asked."""
+    stated, _ = replicated(Response.SUPERIOR, sphere=True, seed=2)
+    burst, trial = np.abs(stated.drive[: stated.burst]).max(), np.abs(stated.drive[stated.burst :]).max()
+    assert 0.0 < burst <= trial
+
+
+@pytest.mark.parametrize(("repeated", "says"), [(0.0041, False), (0.012, True)])
+def test_an_error_that_a_repetition_does_not_reach_is_called_chance(repeated, says):
+    wave = np.sin(np.arange(4_000) / 20.0)
+    found = Replicated(
+        rate_hz=2_000, asked=wave, reached=1.004 * wave, linear=wave, drive=wave, burst=0, lead=0, errors=(0.01, 0.004),
+        floor=0.004, repeated=repeated,
+    )  # fmt: skip
+    summary = tell(found, "m")
+    assert summary.figures["error_repeated"] == repeated
+    assert f"has an error of {100 * repeated:.2f} %" in summary.sentences[0]
+    assert ("is chance" in summary.sentences[0]) is says
+    assert "repetition" not in tell(attrs.evolve(found, repeated=None), "m").sentences[0]
 
 
 def test_the_base_makes_a_half_sine_and_what_is_stated_is_within_the_floor_of_the_truth():
