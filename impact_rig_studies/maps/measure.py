@@ -15,7 +15,7 @@
 
 The record has one row per cycle of the drive: the complex amplitudes of both bases at the drive frequency, and position
 and velocity of the sphere at the start of the cycle. A motion that approaches a periodic one has settled when the rest
-of its transient, estimated as a geometric series, is negligible.
+of its transient, estimated as a geometric series, is negligible, and still is some cycles later.
 
 If a motion does not settle, `analysis.spread.classify` judges its regime by the amplitude of the superior base and the
 impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
@@ -232,7 +232,7 @@ class MapRig:
         while True:
             last = record.last(CHUNK)
             behaviour = _settled(last, frequency_hz, settings)
-            if behaviour:
+            if behaviour and self._stays(frequency_hz, amplitude, last):
                 found = _reading(last.last(_PART), behaviour, self._config, frequency_hz)
                 # whole for an orbit, although an impact at the border of a cycle may count on either side
                 whole = round(found.impacts_per_cycle * found.period)
@@ -266,6 +266,19 @@ class MapRig:
             elif sign < 0 and period:
                 behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
         return _reading(last, behaviour, self._config, frequency_hz), leaving
+
+    def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
+        """Return whether a motion that seems to have settled still does so some cycles later; True without impacts.
+
+        A chaotic motion in a band thinner than the tolerance seems to settle now and then. Afterwards the rig is in the
+        same state as before.
+        """
+        before = self.simulation.state()
+        if before is None or not len(record.speed):
+            return True
+        later = record.then(self._run(frequency_hz, amplitude, _PART)).last(CHUNK)
+        self.simulation.set_state(before)
+        return _settled(later, frequency_hz, self._settings) is not None
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
         """Return the sign of the largest Lyapunov exponent, for the choice of the regime.

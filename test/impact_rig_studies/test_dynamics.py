@@ -40,6 +40,7 @@ from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import NOTHING, MapRig, Settings
 from impact_rig_studies.prediction import LinearRig
 from qualification.prediction import job
+from qualification.regimes import judged
 
 pytestmark = pytest.mark.heavy
 
@@ -561,8 +562,9 @@ def test_an_unstable_orbit_is_called_after_the_change_that_it_comes_from(way, li
     assert {one.note for one in arc.orbits if one.stable} == {"stable"}
 
 
-@pytest.mark.parametrize("gap", [0.012176, 0.01219])
+@pytest.mark.parametrize("gap", [0.01218, 0.01219])
 def test_the_event_of_a_symmetric_orbit_that_just_lost_its_symmetry(gap, tmp_path):
+    """The sphere starts where it comes so close to this orbit that it leaves it only after hundreds of cycles."""
     (row,) = study(tmp_path, "orbit", f"set: {{barriers.gap_m: {gap}}}\norbit: {{}}")
     assert row["multiplier_real"] > 1.0
     assert row["event"] == "symmetry"
@@ -650,6 +652,13 @@ def test_a_chaotic_sphere_that_leaves_the_structure_steady_is_called_chaotic(gap
     reading = MapRig(config, Settings()).measure(9.1, 0.52)
     assert reading.regime == "chaotic"
     assert math.isnan(reading.period)
+
+
+def test_a_motion_in_a_thin_chaotic_band_is_not_called_periodic():
+    """After six cycles the sphere repeats to 1.7e-3 at most, to 2e-4 now and then: its exponent is +0.74 ± 0.06 /s."""
+    found = judged(77, 38)
+    assert found["regime"] == "chaotic"
+    assert found["exponent_per_s"] > 4.0 * found["u_per_s"]
 
 
 @pytest.mark.parametrize(
