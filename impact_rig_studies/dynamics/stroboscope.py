@@ -40,11 +40,9 @@ from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.dynamics.orbits import FLIP, FOLD, SYMMETRY, Orbit, jacobian
-from impact_rig_studies.maps.measure import MapRig, Reading
+from impact_rig_studies.maps.measure import COORDINATES, MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
-COORDINATES = {"prescribed": (0, 1, 5, 6), "current": (0, 1, 2, 3, 5, 6), "voltage": (0, 1, 2, 3, 4, 5, 6)}
-"""Indices of the free state values in the array of `Simulation.state`, by kind of drive."""
 SPHERE = (5, 6)  # indices of the sphere's relative position and its rate in that array
 CLOSE = 0.02  # time between an impact and the section, in cycles, below which another section is chosen
 _TURN = 2.0 * math.pi

@@ -661,6 +661,25 @@ def test_a_motion_in_a_thin_chaotic_band_is_not_called_periodic():
     assert found["exponent_per_s"] > 4.0 * found["u_per_s"]
 
 
+@pytest.mark.parametrize(("number", "period"), [(46, 11), (63, 12)])
+def test_a_long_orbit_is_called_periodic(number, period):
+    """Its amplitude looks chaotic, but neighbouring motions approach one another: exponents of -2.1 and -1.1 /s."""
+    found = judged(2, number)
+    assert (found["regime"], found["period"], found["transient"]) == ("periodic", period, 0.0)
+    assert found["exponent_per_s"] < -4.0 * found["u_per_s"]
+
+
+def test_a_slow_separation_of_neighbours_is_measured_for_longer():
+    """The sphere's motion changes little in a cycle: its exponent of +0.75 /s is not certain after 192 cycles."""
+    assert judged(2, 31)["regime"] == "chaotic"
+
+
+def test_a_chaotic_transient_is_judged_after_its_end():
+    found = judged(2, 39)
+    assert (found["regime"], found["transient"]) == ("periodic", 1.0)
+    assert found["exponent_per_s"] < 0.0
+
+
 @pytest.mark.parametrize(
     ("first", "last", "step"),
     [
