@@ -74,7 +74,7 @@ def main() -> int:
             found.loads(branches)
             reached.get_data().update(found)
     console.print(table)
-    console.print(f"{total} inputs, no crash, hang, NaN or silent acceptance")
+    console.print(f"{total} inputs, no crash, no hang, no undefined number and nothing accepted silently")
     root = Path(__file__).parents[1]
     reached.report(include=sorted({str(root / module) for one in chosen for module in one.modules}))
     return 0
