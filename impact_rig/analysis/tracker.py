@@ -125,8 +125,9 @@ class Tracker:
         ...     for block in rig.advance(20 * 10**9)
         ...     for table in tracker.feed(block.scan).measurements
         ... ]
-        >>> print(f"DT {rows[-1]['transmissibility']:.2f} ± {2 * rows[-1]['transmissibility_uncertainty']:.2f}")
-        DT 63.57 ± 0.32
+        >>> dt, u = rows[-1][["transmissibility", "transmissibility_uncertainty"]]
+        >>> print(f"DT {dt:.2f}, standard uncertainty {u:.2f}")
+        DT 63.57, standard uncertainty 0.16
 
     See Also:
         - `TrackerSettings`: windows, tolerances and limits.
