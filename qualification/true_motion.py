@@ -19,7 +19,8 @@ command are compared with the truth of the same trial:
     replicate  base and superior base, with and without sphere: the true error is at most the sum of the stated error
                and the stated floor, and the stated error at most 0.5 %
     shock      every stated figure is within its floor of the true one
-    frf        accelerometer over current, with all kinds of excitation: 92 % of the coherent lines within 2u
+    frf        accelerometer over current, with all kinds of excitation: 92 % of the coherent lines of all seeds within
+               2u (the lines of one rig share its calibration errors, so their number varies much from seed to seed)
 
 Results are kept in FOLDER, so a run can be resumed. The exit code is 1 if a case fails.
 """
@@ -163,7 +164,7 @@ def judged(case: str, seed: int) -> dict[str, object]:
         kept = all(abs(stated_of[name] - true[name]) <= pulse.floors[name] for name in true)
         return {"kept": kept, "stated": stated_of, "floor": dict(pulse.floors), "true": true}
     share, lines = accelerometer(how[0], seed)
-    return {"kept": share >= SHARE, "share": share, "lines": lines}
+    return {"kept": None, "share": share, "lines": lines}
 
 
 CASES = (
@@ -184,8 +185,15 @@ def main() -> int:
             if not any(one["case"] == case and one["seed"] == seed for one in done):
                 done.add({"case": case, "seed": seed, **judged(case, seed)})
                 print(done[-1], flush=True)  # noqa: T201  # the result
-    print(f"{sum(one['kept'] for one in done)} of {len(done)} kept")  # noqa: T201  # as above
-    return 0 if all(one["kept"] for one in done) else 1
+    kept = [one["kept"] for one in done if one["kept"] is not None]
+    for case in (case for case in CASES if case.startswith("frf")):
+        rows = [(one["share"], one["lines"]) for one in done if one["case"] == case]
+        shares, lines = np.array(rows).T
+        share = float(shares @ lines / lines.sum())
+        print(f"{case}: {100.0 * share:.1f} % of {lines.sum():.0f} lines within 2u")  # noqa: T201  # as above
+        kept.append(share >= SHARE)
+    print(f"{sum(kept)} of {len(kept)} kept")  # noqa: T201  # as above
+    return 0 if all(kept) else 1
 
 
 if __name__ == "__main__":
