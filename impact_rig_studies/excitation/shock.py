@@ -156,7 +156,7 @@ class Shocked:
     floors: Mapping[str, float]  # floor of each of these four errors, by name of the attribute
 
 
-DRAWS = 20  # number of simulated records of the sensor's noise
+DRAWS = 100  # number of simulated records of the sensor's noise; one error in 101 is larger than in any of them
 CORNER = 3.0
 """Frequency up to which a displacement is differentiated twice, times the duration of the half sine.
 
