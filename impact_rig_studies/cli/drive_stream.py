@@ -109,7 +109,7 @@ def run_replicate(arguments: argparse.Namespace) -> int:
     asked = _history(arguments, plan.response.unit, plan.response.channel)
     _refuse_zeros(arguments, asked)
     title = f"Replicated: {plan.response.replace('_', ' ')} of {visible(arguments.file.name)}"
-    return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan))
+    return _drive(arguments, title, plan.response.unit, lambda rig: replicate(rig, asked, plan, _progress().print))
 
 
 def run_shock(arguments: argparse.Namespace) -> int:
@@ -121,7 +121,7 @@ def run_shock(arguments: argparse.Namespace) -> int:
 
     pulse = _plan(arguments, Pulse)
     title = f"Shock: half sine of {pulse.peak:g} m/s², {1e3 * pulse.duration_s:g} ms"
-    return _drive(arguments, title, "m", lambda rig: shock(rig, pulse))
+    return _drive(arguments, title, "m", lambda rig: shock(rig, pulse, _progress().print))
 
 
 def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) -> NDArray[np.float64]:
@@ -131,6 +131,10 @@ def _history(arguments: argparse.Namespace, unit: str, name: str | None = None) 
         arguments.file, arguments.scan_rate, unit, arguments.signal, name, arguments.unit, arguments.scale,
         arguments.file_rate,
     )  # fmt: skip
+
+
+def _progress() -> Console:
+    return Console(stderr=True)
 
 
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
@@ -156,7 +160,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
         )
     test: str = arguments.test
     directory = run_directory(arguments.output, test)
-    console, progress = Console(quiet=arguments.json), Console(stderr=True)
+    console, progress = Console(quiet=arguments.json), _progress()
     found, early, interrupted = None, "", None
     with contextlib.ExitStack() as writing:  # a second signal does not interrupt the work after the drive
         with open_rig(arguments, config, directory, required=stream) as rig:

@@ -40,7 +40,7 @@ the drive of a burst nor the motion of the superior base in it exceeds that of t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import attrs
 import numpy as np
@@ -131,13 +131,16 @@ class Replicated:
         return float(np.sqrt(np.mean(rest**2) / np.mean(self.asked**2)))
 
 
-def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[Replicated]:
+def replicate(
+    hardware: Hardware, asked: Real, plan: ReplicatePlan, on_step: Callable[[str], object] = lambda _: None
+) -> Iterator[Replicated]:
     """Make a response of the rig follow a time history by correcting the drive in trials.
 
     Args:
         hardware: output and acquisition, with equal rates.
         asked: the history in the SI unit of the response, shape (n,); it begins and ends near zero.
         plan: settings.
+        on_step: receives a description of each step before the first trial, for the user.
 
     Yields:
         After each trial the best result so far, with the errors of all trials. They end when the error is small enough
@@ -172,18 +175,9 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
     drive = np.fft.irfft(inverse * np.fft.rfft(target), length)
     drive[:played] *= fade
     drive[played:] = 0.0
-    largest, burst, scatter = _burst(plan, rate_hz, drive, *superior), np.empty(0), math.inf
-    for amplitude in BURSTS:
-        tried = amplitude * largest if amplitude else np.empty(0)
-        found, differ = [respond(tried, drive)[history]], 0.0
-        while len(found) < REPEATS and differ <= agreement:
-            respond(tried, (1.0 - WEAKER * len(found)) * drive)  # another past
-            found.append(respond(tried, drive)[history])
-            differ = float(np.sqrt(np.var(found, axis=0, ddof=1).mean())) / rms
-        if differ < scatter:
-            burst, scatter = tried, differ
-        if differ <= agreement:
-            break
+    on_step("response function measured")
+    largest = _burst(plan, rate_hz, drive, *superior)
+    burst = _steadying(lambda tried, by: respond(tried, by)[history] / rms, drive, largest, agreement, on_step)
     errors: list[float] = []
     best: Replicated | None = None
     gain = 1.0
@@ -213,6 +207,41 @@ def replicate(hardware: Hardware, asked: Real, plan: ReplicatePlan) -> Iterator[
     assert best is not None
     again = respond(burst, best.drive[len(burst) :])[history]
     yield attrs.evolve(best, errors=tuple(errors), repeated=best.relative(again - asked))
+
+
+def _steadying(
+    respond: Callable[[Real, Real], Real],
+    drive: Real,
+    largest: Real,
+    agreement: float,
+    on_step: Callable[[str], object],
+) -> Real:
+    """Return the first burst of `BURSTS` after which equal trials agree, or else the one after which they agree best.
+
+    Args:
+        respond: function that plays a burst and a drive, and returns the response, relative to the rms of the history.
+        drive: drive of the trials [A].
+        largest: drive of the largest possible burst [A].
+        agreement: largest scatter of trials that agree, in the unit of `respond`.
+        on_step: receives a description of each step for the user.
+
+    Returns:
+        Its drive [A]; empty for no burst.
+    """
+    scatters, tried = [], []
+    for amplitude in BURSTS:
+        tried.append(amplitude * largest if amplitude else np.empty(0))
+        found, scatter = [respond(tried[-1], drive)], 0.0
+        while len(found) < REPEATS and scatter <= agreement:
+            respond(tried[-1], (1.0 - WEAKER * len(found)) * drive)  # another past
+            found.append(respond(tried[-1], drive))
+            scatter = float(np.sqrt(np.var(found, axis=0, ddof=1).mean()))
+        scatters.append(scatter)
+        before = f"after a burst of {np.abs(tried[-1]).max():.2f} A peak" if len(tried[-1]) else "without a burst"
+        on_step(f"{len(found)} equal trials {before} differ by {100 * scatter:.2f} %")
+        if scatter <= agreement:
+            break
+    return tried[int(np.argmin(scatters))]
 
 
 def _fade(count: int, lead: int) -> Real:

@@ -25,7 +25,7 @@ acceleration is x'' + a. It is computed by the ramp-invariant filter (Smallwood 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import attrs
 import numpy as np
@@ -180,12 +180,13 @@ def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[
     return velocity, acceleration
 
 
-def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
+def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = lambda _: None) -> Iterator[Shocked]:
     """Make the inferior base perform a shock by replicating its displacement in trials, see `history.replicate`.
 
     Args:
         hardware: output and acquisition, with equal rates.
         pulse: requested shock; its displacement is replicated from 0 Hz up to `CORNER` / duration of the half sine.
+        on_step: receives a description of each step before the first trial, for the user.
 
     Yields:
         The best result so far after each trial.
@@ -219,7 +220,7 @@ def shock(hardware: Hardware, pulse: Pulse) -> Iterator[Shocked]:
     drawn = [figures(displacement + one)[2] for one in noises]
     of_gain = {"peak_error": gain, "velocity_error": gain, "left_m": 0.0, "srs_worst_db": 20.0 * math.log10(1.0 + gain)}
     floors = {name: max(abs(one[name]) for one in drawn) + least for name, least in of_gain.items()}
-    for followed in replicate(hardware, displacement, plan):
+    for followed in replicate(hardware, displacement, plan, on_step):
         reached, srs_reached, found = figures(followed.reached)
         yield Shocked(
             followed=followed, asked=asked, reached=reached, frequency_hz=frequency, srs_asked=srs_asked,

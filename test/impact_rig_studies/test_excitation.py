@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import attrs
@@ -30,13 +31,14 @@ from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
-from impact_rig_studies.excitation.history import Replicated, ReplicatePlan
+from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, replicate
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
 from impact_rig_studies.excitation.signals import BURST, CHIRP, PSEUDO, Excitation
 from impact_rig_studies.report.excitation import tell
-from qualification.true_motion import MOST, accelerometer, replicated, shocked
+from qualification import true_motion
+from qualification.true_motion import MOST, TrueHardware, accelerometer, replicated, shocked
 
 pytestmark = pytest.mark.heavy
 
@@ -175,10 +177,16 @@ def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(respons
 
 
 def test_a_burst_exceeds_neither_the_drive_nor_the_motion_of_the_history():
-    """A specimen must not be shaken harder than its user asked."""
-    stated, _ = replicated(Response.SUPERIOR, sphere=True, seed=2)
-    burst, trial = np.abs(stated.drive[: stated.burst]).max(), np.abs(stated.drive[stated.burst :]).max()
-    assert 0.0 < burst <= trial
+    """A specimen must not be shaken harder than its user asked. The user reads why the bursts are played."""
+    watched, steps = TrueHardware(RATE_HZ, daq__seed=2), []
+    plan = ReplicatePlan(response=Response.SUPERIOR, identify_rms=0.15, high_hz=25.0, iterations=1)
+    *_, found = replicate(watched, true_motion.history((6.0, 14.0), 1.5e-3, 2), plan, steps.append)
+    for values in (found.drive, watched.truth["x_1"]):  # both of the repetition of the best trial
+        size = np.abs(values)
+        assert 0.0 < size[: found.burst].max() <= 1.02 * size[found.burst :].max()
+    assert steps[0] == "response function measured"
+    assert re.fullmatch(r"[2-5] equal trials without a burst differ by [\d.]+ %", steps[1])
+    assert re.fullmatch(r"5 equal trials after a burst of [\d.]+ A peak differ by 0\.\d+ %", steps[-1])
 
 
 @pytest.mark.parametrize(("repeated", "says"), [(0.0041, False), (0.012, True)])
