@@ -22,8 +22,8 @@ impacts. These may look periodic though the sphere moves chaotically. Therefore 
 measured too (`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
 the motion is chaotic. If they approach one another, it may also repeat after more cycles than `classify` considers.
 
-Near an unstable periodic orbit neighbouring motions separate as well. A motion that is still leaving such an orbit, or
-approaching a stable one, is therefore continued, and then measured again.
+Near an unstable periodic orbit neighbouring motions separate as well. A motion that is still leaving such an orbit is
+therefore continued until it has left, and then measured again.
 Everything is deterministic, and starts either from a reset rig or from the state of the previous point.
 """
 
@@ -62,9 +62,9 @@ WEAK = 0.02
 They are not counted and do not influence the regime.
 """
 WINDOWS, MORE_WINDOWS = 16, 64  # number of windows of an exponent, and of those if its sign is not certain then
-WINDOW_CYCLES = 12  # least number of cycles in a window: whole periods of a motion that repeats
+WINDOW_CYCLES = 12  # number of cycles in a window
 SURE = 2.0  # absolute exponent, in standard uncertainties, above which its sign counts as certain
-DEPARTURES = 10  # number of times that a motion is continued because it is still leaving or approaching an orbit
+DEPARTURES = 10  # number of times that a motion is continued because it is leaving an unstable orbit
 _CLOSE = 0.05  # largest change per period, relative to the motion, of one that is still near the orbit it leaves
 _RISES = 4  # number of equal parts of a record from each to the next of which the changes of such a motion must grow
 LONGEST_LOOKED = 64  # longest period, in cycles, considered if neighbouring motions approach one another
@@ -218,8 +218,8 @@ class MapRig:
 
     def _measured(self, frequency_hz: float, amplitude: float) -> Reading:
         for _ in range(1 + DEPARTURES):
-            reading, changing = self._attempt(frequency_hz, amplitude)
-            if not changing:
+            reading, leaving = self._attempt(frequency_hz, amplitude)
+            if not leaving:
                 break
         return reading
 
@@ -227,9 +227,8 @@ class MapRig:
         """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
 
         Returns:
-            The reading, and whether the motion is still leaving an unstable periodic orbit or approaching a stable one.
-            If it is, the exponent says nothing about the motion that follows, so the regime is the one that amplitude
-            and impacts show.
+            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, the exponent says
+            nothing about the motion that follows, so the regime is the one that amplitude and impacts show.
         """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
@@ -247,12 +246,12 @@ class MapRig:
             more, rest = done // 2 // _PART * _PART, settings.settle_cycles - done  # checked less often later
             record = record.then(self._run(frequency_hz, amplitude, more if rest > 2 * more else rest))
         recent = record.last(2 * CHUNK)
-        behaviour, drifts, sign, changing = _behaviour(recent, settings), self._drifts(recent), 0, False
+        behaviour, drifts, sign, leaving = _behaviour(recent, settings), self._drifts(recent), 0, False
         if math.isfinite(behaviour.period) and not drifts:
-            sign = self._parting(frequency_hz, amplitude, recent, int(behaviour.period))
-            changing = sign > 0 and _leaves(record, frequency_hz)
-            if changing or sign <= 0:
-                return _reading(recent, behaviour, self._config, frequency_hz), changing
+            sign = self._parting(frequency_hz, amplitude, recent)
+            leaving = sign > 0 and _leaves(record, frequency_hz)
+            if leaving or sign <= 0:
+                return _reading(recent, behaviour, self._config, frequency_hz), leaving
         if done < _FIRST + settings.cycles:
             record = record.then(self._run(frequency_hz, amplitude, _FIRST + settings.cycles - done))
         last = record.last(settings.cycles)
@@ -261,16 +260,14 @@ class MapRig:
             behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
         else:
             period = _long_period(last, frequency_hz, settings)
-            if sign == 0 and (behaviour.regime is not Regime.CHAOTIC or period):
-                sign = self._parting(frequency_hz, amplitude, recent, period or 1)
-                changing = sign > 0 and _leaves(record, frequency_hz)
-            if sign > 0 and not changing:
+            if sign == 0 and (behaviour.regime is not Regime.CHAOTIC or period is not None):
+                sign = self._parting(frequency_hz, amplitude, recent)
+                leaving = sign > 0 and _leaves(record, frequency_hz)
+            if sign > 0 and not leaving:
                 behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
             elif sign < 0 and period:
                 behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
-            elif sign < 0:
-                changing = True
-        return _reading(last, behaviour, self._config, frequency_hz), changing
+        return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
         """Return whether a motion that seems to have settled still does so some cycles later; True without impacts.
@@ -285,12 +282,11 @@ class MapRig:
         self.simulation.set_state(before)
         return _settled(later, frequency_hz, self._settings) is not None
 
-    def _parting(self, frequency_hz: float, amplitude: float, record: _Record, period: int) -> int:
+    def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
         """Return the sign of the largest Lyapunov exponent, for the choice of the regime.
 
         It is 1 if neighbouring motions separate, -1 if they approach one another, and 0 if neither is certain, as
-        without impacts. Windows of whole periods make it certain for a motion that repeats after `period` cycles.
-        Afterwards the rig is in the same state as before.
+        without impacts. Afterwards the rig is in the same state as before.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -300,13 +296,12 @@ class MapRig:
         scale = np.array([superior, omega * superior, base, omega * base, amplitude, half, omega * half])
         free = list(COORDINATES[self._config.drive.kind])
         scale = np.maximum(scale[free], TINY)
-        cycles = -(-WINDOW_CYCLES // period) * period
 
         def returned(z: Real, windows: int) -> Real:
             start = before.copy()
             start[free] = z * scale
             self.simulation.set_state(start)
-            self.run_cycles(frequency_hz, amplitude, windows * cycles)
+            self.run_cycles(frequency_hz, amplitude, windows * WINDOW_CYCLES)
             state = self.simulation.state()
             return np.full(len(z), math.nan) if state is None else state[free] / scale
 
