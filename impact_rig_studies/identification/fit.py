@@ -50,7 +50,9 @@ from impact_rig_studies.identification.motions import SettledMotion, SettledRig,
 # --- The constants that are identified, as logarithms, and the rig that they make.
 
 NAMES = ("f_n", "ζ", "m_1", "K_f", "k_f", "M", "c_f")
-"""Structure: natural frequency, damping ratio, mass of the superior base. Shaker: force factor, suspension stiffness,
+"""Names of the identified constants.
+
+Structure: natural frequency, damping ratio, mass of the superior base. Shaker: force factor, suspension stiffness,
 moving mass (armature and inferior base), damping.
 """
 UNITS = ("Hz", "-", "kg", "N/A", "N/m", "kg", "N s/m")
@@ -118,7 +120,7 @@ class Combination:
 
     @property
     def determined(self) -> bool:
-        """Return whether the data determine this combination."""
+        """Return whether the relative standard uncertainty of this combination is at most `DETERMINED`."""
         return self.u_relative <= DETERMINED
 
 
@@ -132,7 +134,7 @@ class Information:
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether the data determine the parameter `name` with all others free."""
+        """Return whether a parameter has a relative standard uncertainty of at most `DETERMINED`, all others free."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 
@@ -295,7 +297,10 @@ def identify(
 
 
 def _with_estimates(measured: Measured, start: Real) -> Real:
-    """Return `start` with f_n and ζ of the free decay, or of the stepped sine's peak: far off, no fit converges."""
+    """Return `start` with estimates of f_n and ζ from the free decay, or from the peak of the stepped sine.
+
+    Far from them the fit does not converge.
+    """
     theta = start.copy()
     if measured.decay is not None:
         theta[:2] = np.log([measured.decay.natural_frequency_hz, measured.decay.damping_ratio])
@@ -306,7 +311,7 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
 
 
 def _damping(bent: Real) -> Real:
-    """Return rows of whitened residuals' derivatives that keep constants near where they are if no data do."""
+    """Return rows for the matrix of the residuals' derivatives, which damp constants that the data do not determine."""
     return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
 
 
@@ -370,7 +375,8 @@ class _Held:
     def cost(self) -> float:
         """−2 ln of the probability of this e: the integral of the likelihood over constants and nuisance parameters.
 
-        The likelihood is a normal distribution of them. A motion with a large uncertainty makes it lower, but wider.
+        The likelihood is taken as normally distributed in them. A large uncertainty of a motion makes it lower, but
+        wider.
         """
         whole = np.concatenate([np.concatenate([self.jacobian, self.bent], axis=1), _damping(self.bent)])
         return self.misfit + 2.0 * float(np.log(np.abs(np.diag(np.linalg.qr(whole, mode="r")))).sum())
