@@ -253,9 +253,13 @@ NODES = (
         "stepped_sine_node",
         publishes=(topics.ACK.name, topics.FREQUENCY.name, topics.CURRENT.name),
         subscribes=(
-            topics.INFO.name, topics.SCAN.name, topics.JOURNAL.name, topics.APPLIED.name,
-            topics.TRANSMISSIBILITY_TABLE.name, "base_displacement",
+            topics.INFO.name,
+            topics.SCAN.name,
+            topics.JOURNAL.name,
+            topics.APPLIED.name,
+            topics.TRANSMISSIBILITY_TABLE.name,
+            "base_displacement",
         ),
     ),
-)  # fmt: skip
+)
 """Nodes whose interface is described; the page of the lab is a client like a user's own node."""

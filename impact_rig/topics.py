@@ -94,28 +94,43 @@ SCAN = attrs.evolve(
     further=NUMBER,
 )
 INFO = _table(
-    "daq/info", Qos.STATE, "rig", blocks.DAQ_INFO_COLUMNS,
+    "daq/info",
+    Qos.STATE,
+    "rig",
+    blocks.DAQ_INFO_COLUMNS,
     "Calibration, one row per channel; stamp = start of its validity.",
-)  # fmt: skip
+)
 APPLIED = _table(
-    "shaker/applied", Qos.STATE, "rig", blocks.APPLIED_COLUMNS,
+    "shaker/applied",
+    Qos.STATE,
+    "rig",
+    blocks.APPLIED_COLUMNS,
     "Drive of the shaker from a sample on; one row per accepted change, published on acceptance.",
-)  # fmt: skip
+)
 JOURNAL = Topic(
-    "rig/journal", "std_msgs/msg/String", Qos.HISTORY, "rig",
+    "rig/journal",
+    "std_msgs/msg/String",
+    Qos.HISTORY,
+    "rig",
     "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
     (Column("data", "-", "One JSON object, see below."),),
-)  # fmt: skip
+)
 CONFIGURATION = Topic(
-    "rig/configuration", "std_msgs/msg/String", Qos.STATE, "rig",
+    "rig/configuration",
+    "std_msgs/msg/String",
+    Qos.STATE,
+    "rig",
     "The complete current configuration, as a ROS 2 parameter file.",
     (Column("data", "-", "YAML for `--params-file` and `impact-rig check`."),),
-)  # fmt: skip
+)
 ROBOT_DESCRIPTION = Topic(
-    "robot_description", "std_msgs/msg/String", Qos.LATCHED, "rig",
+    "robot_description",
+    "std_msgs/msg/String",
+    Qos.LATCHED,
+    "rig",
     "The rig as URDF, for RViz and robot_state_publisher; published again when it changes.",
     (Column("data", "-", "URDF; its joints are those of truth/joint_states, its frames those of the headers."),),
-)  # fmt: skip
+)
 JOINT_STATES = Topic(
     "truth/joint_states",
     "sensor_msgs/msg/JointState",
@@ -131,52 +146,86 @@ JOINT_STATES = Topic(
     frame_id="rig",
 )
 IMPACTS_TRUTH = _table(
-    "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS_COLUMNS,
+    "truth/impacts",
+    Qos.DATA,
+    "rig",
+    blocks.IMPACTS_COLUMNS,
     "The contacts that ended in a block; time = their start.",
-)  # fmt: skip
+)
 TRUTH_SCAN = _table(
-    "truth/scan", Qos.DATA, "rig", blocks.TRUTH_SCAN_COLUMNS,
+    "truth/scan",
+    Qos.DATA,
+    "rig",
+    blocks.TRUTH_SCAN_COLUMNS,
     "The instants of daq/scan without instruments (output.truth_scan).",
-)  # fmt: skip
+)
 FAULTS = _table("truth/faults", Qos.STATE, "rig", blocks.FAULTS_COLUMNS, "Instrument faults as they start and end.")
 TRANSMISSIBILITY = Topic(
-    "transmissibility", "std_msgs/msg/Float64", Qos.DATA, "analysis", "Last settled transmissibility, for plotters.",
+    "transmissibility",
+    "std_msgs/msg/Float64",
+    Qos.DATA,
+    "analysis",
+    "Last settled transmissibility, for plotters.",
     (Column("data", "-", "Value as in transmissibility/table."),),
-)  # fmt: skip
+)
 TRANSMISSIBILITY_TABLE = _table(
     "transmissibility/table", Qos.STATE, "analysis", blocks.TRANSMISSIBILITY_COLUMNS, "One row per measurement."
 )
 ANALYSIS_SETTINGS = _table(
-    "analysis/settings", Qos.STATE, "analysis", blocks.SETTINGS_COLUMNS,
+    "analysis/settings",
+    Qos.STATE,
+    "analysis",
+    blocks.SETTINGS_COLUMNS,
     "Settings of the measurement and the operator's gap label, when they change; stamp = start of their validity.",
-)  # fmt: skip
+)
 SWEEP = _table(
-    "sweep/table", Qos.STATE, "stepped_sine", blocks.SWEEP_COLUMNS,
+    "sweep/table",
+    Qos.STATE,
+    "stepped_sine",
+    blocks.SWEEP_COLUMNS,
     "Measurements of a sweep, or samples of a phase lock, as they are made; stamp = start of the sweep.",
-)  # fmt: skip
+)
 IMPACTS = _table(
     "impacts", Qos.DATA, "analysis", blocks.DETECTED_IMPACTS_COLUMNS, "Impacts detected from the accelerometer alone."
 )
 FREQUENCY = Topic(
-    "shaker/frequency", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive frequency of a sine.",
+    "shaker/frequency",
+    "std_msgs/msg/Float64",
+    Qos.EVENT,
+    "client",
+    "Command: drive frequency of a sine.",
     (Column("data", "Hz", "Within shaker.frequency_min_hz and shaker.frequency_max_hz."),),
-)  # fmt: skip
+)
 CURRENT = Topic(
-    "shaker/current", "std_msgs/msg/Float64", Qos.EVENT, "client", "Command: drive amplitude.",
+    "shaker/current",
+    "std_msgs/msg/Float64",
+    Qos.EVENT,
+    "client",
+    "Command: drive amplitude.",
     (Column("data", "A", "Peak (rms for random), at most shaker.current_limit_a_rms; m or V by drive.kind."),),
-)  # fmt: skip
+)
 WAVEFORM = _table(
-    "shaker/waveform", Qos.DATA, "client", blocks.WAVEFORM_COLUMNS,
+    "shaker/waveform",
+    Qos.DATA,
+    "client",
+    blocks.WAVEFORM_COLUMNS,
     "Command: samples of the drive (drive.waveform: stream); stamp = first sample. No rows end the stream there.",
-)  # fmt: skip
+)
 STREAM = _table(
-    "shaker/stream", Qos.LATCHED, "rig", blocks.STREAM_COLUMNS,
+    "shaker/stream",
+    Qos.LATCHED,
+    "rig",
+    blocks.STREAM_COLUMNS,
     "State of the stream of samples after each block: the sample needed next, and counters.",
-)  # fmt: skip
+)
 NOTES = Topic(
-    "notes", "std_msgs/msg/String", Qos.EVENT, "client", "Operator's remarks, recorded with the run.",
+    "notes",
+    "std_msgs/msg/String",
+    Qos.EVENT,
+    "client",
+    "Operator's remarks, recorded with the run.",
     (Column("data", "-", "Any text; `gap_m=0.006 at 1000000000` labels the gap from that rig time [ns] on."),),
-)  # fmt: skip
+)
 ACK = Topic(
     "daq/ack",
     "std_msgs/msg/Header",
@@ -201,16 +250,20 @@ def _extremes(name: str, unit: str, doc: str) -> Topic:
 
 
 PLOT_TRANSMISSIBILITY = _plotted(
-    "transmissibility", Qos.LATCHED, "last settled transmissibility; stamp = last scan measured.",
+    "transmissibility",
+    Qos.LATCHED,
+    "last settled transmissibility; stamp = last scan measured.",
     Column("vector.x", "-", "Transmissibility."),
     Column("vector.y", "-", "Standard uncertainty of the transmissibility."),
     Column("vector.z", "rad", "Phase of x_1 relative to x_b."),
-)  # fmt: skip
+)
 PLOT_DRIVE = _plotted(
-    "drive", Qos.LATCHED, "the newest shaker/applied, at each change and once a second.",
+    "drive",
+    Qos.LATCHED,
+    "the newest shaker/applied, at each change and once a second.",
     Column("vector.x", "Hz", "Drive frequency."),
     Column("vector.y", "A", "Amplitude commanded (m or V by `drive.kind`)."),
-)  # fmt: skip
+)
 PLOT_PULSES = _extremes(
     "pulses", "m/s^2", "the accelerometer above 500 Hz, every scan of an interval of 20 ms in three numbers."
 )
@@ -224,11 +277,15 @@ def envelope(channel: str, unit: str) -> Topic:
 def spectrum(channel: str, unit: str) -> Topic:
     """Return the topic of a channel's amplitude spectrum, once a second, for plotters."""
     return Topic(
-        f"plot/spectrum/{channel}", "geometry_msgs/msg/PolygonStamped", Qos.DATA, "plot",
+        f"plot/spectrum/{channel}",
+        "geometry_msgs/msg/PolygonStamped",
+        Qos.DATA,
+        "plot",
         "For plotters: amplitudes of the last 4 s, flat-top window, bins of 0.25 Hz, once a second; stamp = last scan.",
         (Column("polygon.points", f"Hz, {unit}", "x: frequency, up to 250 Hz; y: amplitude of the line there, peak."),),
-        frame_id=blocks.FRAME_DAQ, recorded=False,
-    )  # fmt: skip
+        frame_id=blocks.FRAME_DAQ,
+        recorded=False,
+    )
 
 
 DIAGNOSTICS = Topic(
@@ -247,10 +304,13 @@ DIAGNOSTICS = Topic(
     ),
 )
 CLOCK = Topic(
-    "/clock", "rosgraph_msgs/msg/Clock", Qos.DATA, "rig",
+    "/clock",
+    "rosgraph_msgs/msg/Clock",
+    Qos.DATA,
+    "rig",
     "Rig time; by default it is published unless the rig runs in real time x 1 (time.publish_clock).",
     (Column("clock", "-", "Rig time at the end of the newest block."),),
-)  # fmt: skip
+)
 
 COMMON = (
     SCAN, INFO, APPLIED, JOURNAL, CONFIGURATION, ROBOT_DESCRIPTION, JOINT_STATES, IMPACTS_TRUTH, TRUTH_SCAN, FAULTS,

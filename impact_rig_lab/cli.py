@@ -44,57 +44,80 @@ A signal at the very start of a wait does not interrupt it.
 def add_command(commands: Commands) -> None:
     """Add the subcommand `lab` with its options and examples to the parser of `impact-rig`."""
     parser = subcommand(
-        commands, "lab", "impact_rig_lab.cli:run", "see the rig move and turn its knobs, live, in a browser",
+        commands,
+        "lab",
+        "impact_rig_lab.cli:run",
+        "see the rig move and turn its knobs, live, in a browser",
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
             ("lab --branches runs/dynamics_over_frequency", "draws continued motions next to the measurements"),
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
-    )  # fmt: skip
+    )
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
     parser.add_argument(
-        "runs", nargs="*", type=Path, metavar="RUN",
+        "runs",
+        nargs="*",
+        type=Path,
+        metavar="RUN",
         help="recorded run to play back, without ROS 2, instead of starting a rig; two runs are shown side by side",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--attach", nargs="?", const=FOUND, metavar="NAMESPACE",
+        "--attach",
+        nargs="?",
+        const=FOUND,
+        metavar="NAMESPACE",
         help="show a rig that already runs, instead of starting one; NAMESPACE such as /rig, without it the only rig "
         "that is found",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"
     )
     parser.add_argument(
-        "--sample", action="store_true",
+        "--sample",
+        action="store_true",
         help="play back a short sample run, without ROS 2; the first use simulates and stores it",
-    )  # fmt: skip
+    )
     parser.add_argument("--port", type=int, default=8765, help="TCP port of the page; 0: any free one (default: 8765)")
     parser.add_argument(
-        "--host", default="127.0.0.1",
+        "--host",
+        default="127.0.0.1",
         help="address on which the page is served; any but the default lets other machines open it (default: "
         "%(default)s)",
-    )  # fmt: skip
+    )
     add_recorded_rig(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")
     parser.add_argument(
-        "--scan-rate", type=int, default=10_000, metavar="HZ",
+        "--scan-rate",
+        type=int,
+        default=10_000,
+        metavar="HZ",
         help="scans per second of the rig that is started (default: %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--mode", choices=("realtime", "free_running"), default="realtime",
+        "--mode",
+        choices=("realtime", "free_running"),
+        default="realtime",
         help="pace of the rig that is started: real time, or as fast as possible (default: %(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        "--branches",
+        type=Path,
+        metavar="DIR",
+        nargs="+",
+        default=(),
         help="output folders of `impact-rig dynamics continue` over frequency; their branches are drawn with the curve "
         "of DT while the rig has the settings for which they were computed",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
     parser.add_argument(
-        "--output", type=Path, default=Path("runs"), metavar="DIR",
+        "--output",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
         help="directory in which each recording gets a folder of its own (default: %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

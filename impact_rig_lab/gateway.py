@@ -92,9 +92,11 @@ SCANS = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.IMPACTS)
 TRUTH = (topics.JOINT_STATES, topics.IMPACTS_TRUTH)  # topics that are drawn as true motion
 MOST_PER_LOOK = 300  # largest number of messages processed per topic at once, so that pictures are drawn in between
 PICTURES = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT,
+    history=HistoryPolicy.KEEP_LAST,
+    depth=256,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
-)  # fmt: skip
+)
 
 
 class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an internal error
@@ -176,9 +178,13 @@ class Gateway:
         for topic in KEPT:
             client.subscribe(topic, lambda data, _info, topic=topic: record.take(topic, data), raw=True)
         self._view = Node(  # its callbacks never run
-            "lab_view", namespace=client.node.get_namespace(), context=client.context,
-            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-        )  # fmt: skip
+            "lab_view",
+            namespace=client.node.get_namespace(),
+            context=client.context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         self._samples: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
@@ -365,9 +371,13 @@ class Gateway:
             target = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
             knobs = self.record.knobs
             await self.until(
-                lambda: all(self.record.knobs.get(name) == value for name, value in target.items())
-                or self.record.knobs is not knobs, "rig/configuration", ECHO_S,
-            )  # fmt: skip
+                lambda: (
+                    all(self.record.knobs.get(name) == value for name, value in target.items())
+                    or self.record.knobs is not knobs
+                ),
+                "rig/configuration",
+                ECHO_S,
+            )
 
     async def _parameter(self, name: str, words: str, value: Any) -> str:
         await self._set("rig", {name: value})
@@ -520,9 +530,12 @@ class Gateway:
             await self.until(lambda: self.seen(SWEEPER).lives, f"the node {SWEEPER}", START_S)
         current = (self.record.drive or {"current": 0.0})["current"]
         plan = {
-            "frequencies_hz": list(frequencies), "direction": direction, "current_a": current or 0.52, "hold": hold,
+            "frequencies_hz": list(frequencies),
+            "direction": direction,
+            "current_a": current or 0.52,
+            "hold": hold,
             **({"target": target} if hold in ("current", "base", "superior") else {}),
-        }  # fmt: skip
+        }
         await self._set(SWEEPER, plan)
         attempts = 1 if was_there and hold != "phase" else ATTEMPTS
         while True:

@@ -245,15 +245,21 @@ class LiveSource(Source):
         if directory:
             self.directory = Path(directory)
         return {
-            "lives": seen.lives, "gone": seen.gone, "state": seen.state, "reason": seen.reason,
-            "name": Path(directory).name, "megabytes": figure(seen.figures.get("megabytes")),
-        }  # fmt: skip
+            "lives": seen.lives,
+            "gone": seen.gone,
+            "state": seen.state,
+            "reason": seen.reason,
+            "name": Path(directory).name,
+            "megabytes": figure(seen.figures.get("megabytes")),
+        }
 
     def _sweep(self, seen: Seen) -> dict[str, Any]:
         return {
-            "text": self._client.status("stepped_sine").message if seen.lives else "", "state": seen.state,
-            "done": figure(seen.figures.get("points_done")), "of": figure(seen.figures.get("points")),
-        }  # fmt: skip
+            "text": self._client.status("stepped_sine").message if seen.lives else "",
+            "state": seen.state,
+            "done": figure(seen.figures.get("points_done")),
+            "of": figure(seen.figures.get("points")),
+        }
 
 
 def _waits(rig: Seen) -> bool:

@@ -49,9 +49,10 @@ MOST_ENTRIES = 300  # largest number of journal lines and of fault events kept o
 MOST_APPLIED = 100  # largest number of changes of rig and of drive kept of a live rig
 T = TypeVar("T")
 ABOUT = {
-    Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer", Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
+    Status.ACCELEROMETER_OVER_RANGE.value: "accelerometer",
+    Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
-}  # fmt: skip
+}
 """Channels that statuses of measured rows concern.
 
 In such rows the column `channel` means something else: the channel that contributes most to the uncertainty.

@@ -104,9 +104,13 @@ class Seen:
     def part(self) -> dict[str, Any]:
         """Return the report for the page, as values for JSON."""
         return {
-            "state": self.state, "reason": self.reason, "instance": self.instance, "lives": self.lives,
-            "age": None if self.age_s is None else round(self.age_s), "gone": self.gone,
-        }  # fmt: skip
+            "state": self.state,
+            "reason": self.reason,
+            "instance": self.instance,
+            "lives": self.lives,
+            "age": None if self.age_s is None else round(self.age_s),
+            "gone": self.gone,
+        }
 
     @property
     def gone(self) -> str:
@@ -296,11 +300,15 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
     known = analysis.state if analysis.lives and moves else ""
     figures = analysis.figures if known else {}
     return {
-        "state": known, "holds": known == states.AnalysisWord.MEASURING and not doubts,
-        "reason": plain(analysis.reason) if known else "", "done": figure(figures.get("settling_windows")),
-        "of": figure(figures.get("settling_windows_needed")), "rest": figure(figures.get("settling_remnant")),
-        "quiet": figure(figures.get("no_impact_s")), "quiet_of": figure(figures.get("no_impact_limit_s")),
-    }  # fmt: skip
+        "state": known,
+        "holds": known == states.AnalysisWord.MEASURING and not doubts,
+        "reason": plain(analysis.reason) if known else "",
+        "done": figure(figures.get("settling_windows")),
+        "of": figure(figures.get("settling_windows_needed")),
+        "rest": figure(figures.get("settling_remnant")),
+        "quiet": figure(figures.get("no_impact_s")),
+        "quiet_of": figure(figures.get("no_impact_limit_s")),
+    }
 
 
 class Snapshot:

@@ -183,11 +183,14 @@ def compare(
     model = modelled(1.0)
     places = tuple(
         ComparedPoint(
-            float(row["gap"]), float(row["frequency"]), row, _same(row, model),
+            float(row["gap"]),
+            float(row["frequency"]),
+            row,
+            _same(row, model),
             None if more is None or row["gap"] == NO_SPHERE else _same(row, more),
         )
         for row in measured
-    )  # fmt: skip
+    )
     excerpt = last_excerpt(run, found)
     own = scans.at(excerpt)
     constants, missing = None, _missing(measured, known) if fits else ()
@@ -376,9 +379,12 @@ def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: st
 def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
     """Return the model's configuration with the gap of a label (NaN: its own) and a drive by streamed samples."""
     changes: dict[str, object] = {
-        "drive.kind": kind, "drive.waveform": "stream", "drive.stream_hold": "first_order", "drive.amplitude": 0.0,
+        "drive.kind": kind,
+        "drive.waveform": "stream",
+        "drive.stream_hold": "first_order",
+        "drive.amplitude": 0.0,
         "drive.stream_rate_hz": STREAM_HZ,
-    }  # fmt: skip
+    }
     if not math.isnan(gap_m):
         changes |= gap_values(gap_m)
     return from_flat(config, changes)
@@ -432,9 +438,11 @@ def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: 
     gaps = tuple(curves.gaps())
     at_hz = max(frequencies, key=lambda f: sum(curves.at(gap, f) is not None for gap in gaps))
     return identify(
-        Measured(gains=gains, sine=sine, reduced=reduced_of(curves, at_hz, gaps, gains)), known, logarithms(known),
+        Measured(gains=gains, sine=sine, reduced=reduced_of(curves, at_hz, gaps, gains)),
+        known,
+        logarithms(known),
         on_step,
-    )  # fmt: skip
+    )
 
 
 TRACED_CYCLES = 6
@@ -473,8 +481,9 @@ def drawn(found: Comparison, name: str) -> Drawn:
     traces.set(xlabel="time (s)", ylabel="motion (mm)")
     traces.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for y, colour, label in (
-        (samples_of(found.excerpt.rows, "laser"), MEASURED, "$x_1$ measured"), (residual, MUTED, "difference"),
-    ):  # fmt: skip
+        (samples_of(found.excerpt.rows, "laser"), MEASURED, "$x_1$ measured"),
+        (residual, MUTED, "difference"),
+    ):
         frequency_hz, power = scipy.signal.periodogram(
             y, rate, window="flattop", scaling="spectrum", detrend="constant"
         )
@@ -485,5 +494,8 @@ def drawn(found: Comparison, name: str) -> Drawn:
     lines.set(xlabel="frequency (Hz)", ylabel="amplitude (mm)")
     lines.legend()
     return Drawn(
-        "comparison", figure, f"{name}: measured and model, {found.excerpt}; the band is ± 2u.", numbers,
-    )  # fmt: skip
+        "comparison",
+        figure,
+        f"{name}: measured and model, {found.excerpt}; the band is ± 2u.",
+        numbers,
+    )

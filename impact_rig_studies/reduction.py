@@ -78,16 +78,18 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
     This is the part that remains in the quotient of two measurements, in which errors of the sensitivities cancel. The
     rows are settled ones of `transmissibility/table` of one gap and frequency, shape (n,), n >= 1.
     """
-    sensitivities = np.array([
-        sum(
-            calibration.gain_uncertainty_at(
-                channel, float(row[amplitude]) * calibration.scale(channel, float(row["frequency"]))
+    sensitivities = np.array(
+        [
+            sum(
+                calibration.gain_uncertainty_at(
+                    channel, float(row[amplitude]) * calibration.scale(channel, float(row["frequency"]))
+                )
+                ** 2
+                for channel, amplitude in AMPLITUDES
             )
-            ** 2
-            for channel, amplitude in AMPLITUDES
-        )
-        for row in rows
-    ])  # fmt: skip
+            for row in rows
+        ]
+    )
     relative, steps = rows["transmissibility_uncertainty"] / rows["transmissibility"], _steps(rows)
     own = np.maximum(relative**2 - sensitivities - steps, 0.0)
     return math.sqrt(float(np.sum(own)) / len(rows) ** 2 + steps)

@@ -39,9 +39,11 @@ from impact_rig_studies.operate.stepped_sine import ControlledSine, Setpoint, St
 
 WATCH_S = 0.1  # interval at which the node checks for the rig while a sweep waits to start
 STOPPING = {
-    InputKind.TRIP: "tripped", InputKind.STOP: "was stopped", InputKind.TIMEOUT: "received no commands in time",
+    InputKind.TRIP: "tripped",
+    InputKind.STOP: "was stopped",
+    InputKind.TIMEOUT: "received no commands in time",
     InputKind.RESET: "was reset",
-}  # fmt: skip
+}
 """Kinds of journal entries after which a sweep is aborted, with a verb that completes "the rig ..." in the reason."""
 COMMAND, PHASE = "command", "phase"  # constant quantities in addition to the amplitudes of `Hold`
 

@@ -47,42 +47,69 @@ class TrackerSettings:
         5, "-", "Number of harmonics fitted to each drive cycle, fundamental included.", at_least=1, at_most=10
     )
     window_s: float = quantity(
-        0.25, "s",
+        0.25,
+        "s",
         "Shortest window, the unit in which settling is judged; it is lengthened to a multiple of 6 drive cycles.",
-        above=0, at_most=100,
-    )  # fmt: skip
+        above=0,
+        at_most=100,
+    )
     windows: int = integer(8, "-", "Number of windows averaged to measure a periodic response.", at_least=8, at_most=64)
     long_windows: int = integer(
-        32, "-", "Number of windows averaged to measure a response that is not periodic.", at_least=16, at_most=256,
-    )  # fmt: skip
+        32,
+        "-",
+        "Number of windows averaged to measure a response that is not periodic.",
+        at_least=16,
+        at_most=256,
+    )
     settle_tolerance: float = quantity(
-        5e-4, "-", "Relative bias of DT due to a dying transient up to which the response counts as settled.", above=0,
+        5e-4,
+        "-",
+        "Relative bias of DT due to a dying transient up to which the response counts as settled.",
+        above=0,
         at_most=0.1,
-    )  # fmt: skip
+    )
     periodic_tolerance: float = quantity(
-        1e-3, "-", "Relative rms change of the structure's vibration between cycles up to which it counts as periodic.",
-        above=0, at_most=0.5,
-    )  # fmt: skip
+        1e-3,
+        "-",
+        "Relative rms change of the structure's vibration between cycles up to which it counts as periodic.",
+        above=0,
+        at_most=0.5,
+    )
     wait_limit_s: float = quantity(
-        60.0, "s", "Longest wait for a settled response; then a row of status `not_settled` gives the present numbers.",
-        above=0, at_most=3600,
-    )  # fmt: skip
+        60.0,
+        "s",
+        "Longest wait for a settled response; then a row of status `not_settled` gives the present numbers.",
+        above=0,
+        at_most=3600,
+    )
     slowest_speed: float = quantity(
-        1e-4, "m/s", "Slowest sphere considered: a row without impacts waits until it would have crossed the gap.",
-        above=0, at_most=10,
-    )  # fmt: skip
+        1e-4,
+        "m/s",
+        "Slowest sphere considered: a row without impacts waits until it would have crossed the gap.",
+        above=0,
+        at_most=10,
+    )
     hold_s: float = quantity(
-        0.05, "s", "Delay before scans are measured, so that a command that arrives after them still acts on them.",
-        at_least=0, at_most=1,
-    )  # fmt: skip
+        0.05,
+        "s",
+        "Delay before scans are measured, so that a command that arrives after them still acts on them.",
+        at_least=0,
+        at_most=1,
+    )
     lag_uncertainty: float = quantity(
-        0.0, "-", "Relative standard uncertainty of the sensors' lags, which daq/info does not state.", at_least=0,
+        0.0,
+        "-",
+        "Relative standard uncertainty of the sensors' lags, which daq/info does not state.",
+        at_least=0,
         at_most=1,
-    )  # fmt: skip
+    )
     worst_relative_uncertainty: float = quantity(
-        0.2, "-", "Relative standard uncertainty of DT above which a row has a reason instead of numbers.", above=0,
+        0.2,
+        "-",
+        "Relative standard uncertainty of DT above which a row has a reason instead of numbers.",
+        above=0,
         at_most=1,
-    )  # fmt: skip
+    )
 
     def __attrs_post_init__(self) -> None:
         if self.windows > self.long_windows:
@@ -103,9 +130,11 @@ class ImpactSettings:
         0.5, "m/s^2", "Lowest threshold of the high-passed acceleration: lower pulses are no impacts.", above=0
     )
     ring_factor: float = quantity(
-        2.0, "-", "Threshold right after an impact in multiples of the impact's peak, because the sensor still rings.",
+        2.0,
+        "-",
+        "Threshold right after an impact in multiples of the impact's peak, because the sensor still rings.",
         at_least=0,
-    )  # fmt: skip
+    )
     ring_time_s: float = quantity(
         4e-4, "s", "Time constant of this ringing, Q / (π f) of the mounted sensor: Q = 30, f = 25 kHz.", above=0
     )

@@ -122,11 +122,14 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     shown = rows if everything else rows[measured]
     for row in shown:
         table.add_row(
-            figure(row["frequency"], ".3f"), *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
-            figure(math.degrees(row["phase"]), ".2f"), figure(row["gap"] * 1e3, "g", "unknown"),
+            figure(row["frequency"], ".3f"),
+            *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
+            figure(math.degrees(row["phase"]), ".2f"),
+            figure(row["gap"] * 1e3, "g", "unknown"),
             figure(row["impacts_per_cycle"], ".2f"),
-            row["regime"].decode(), row["status"].decode(),
-        )  # fmt: skip
+            row["regime"].decode(),
+            row["status"].decode(),
+        )
     if table.row_count:
         console.print(table)
     if not (everything or np.all(measured)):
@@ -178,11 +181,14 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     for line in sorted({*shown.tolist(), peak}):
         size = abs(found.h1[line])
         table.add_row(
-            f"{found.frequency_hz[line]:.3f}", *rounded(size, size * found.u_relative[line]),
-            figure(abs(found.h2[line]), ".3f"), figure(abs(found.hv[line]), ".3f"),
-            figure(math.degrees(np.angle(found.h1[line])), ".2f"), figure(found.coherence[line], ".4f"),
+            f"{found.frequency_hz[line]:.3f}",
+            *rounded(size, size * found.u_relative[line]),
+            figure(abs(found.h2[line]), ".3f"),
+            figure(abs(found.hv[line]), ".3f"),
+            figure(math.degrees(np.angle(found.h1[line])), ".2f"),
+            figure(found.coherence[line], ".4f"),
             style="bold" if line == peak else None,
-        )  # fmt: skip
+        )
     console.print(table)
     low, high, top = found.frequency_hz[[excited[0], excited[-1], peak]]
     apart = found.frequency_hz[1]
@@ -260,11 +266,13 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         table.add_column(heading, justify="left" if heading in {"channel", "unit"} else "right", no_wrap=True)
     for name, fit in found.fits.items():
         table.add_row(
-            name, units[name], *rounded(fit.amplitude, fit.u_amplitudes[0]),
+            name,
+            units[name],
+            *rounded(fit.amplitude, fit.u_amplitudes[0]),
             *rounded(math.degrees(fit.phase_rad - reference.phase_rad), math.degrees(fit.u_phases_rad[0])),
             figure(fit.offset, ".4g"),
             figure(fit.residual_rms, ".2g"),
-        )  # fmt: skip
+        )
     console.print(table)
     console.print(
         f"{found.excerpt}; phases are relative to the {found.reference_name}, as sampled: without correction of the "

@@ -52,11 +52,16 @@ def run_check(arguments: argparse.Namespace) -> int:
     )
     checks = check_known_input(config) if arguments.instruments else []
     if arguments.json:
-        tell_json({
-            "path": str(arguments.path), "valid": True, "contact_law": config.contact.law,
-            "restitution_nominal": law.restitution, "restitution_realised": law.realised_restitution(),
-            "instruments": [attrs.asdict(one) for one in checks],
-        })  # fmt: skip
+        tell_json(
+            {
+                "path": str(arguments.path),
+                "valid": True,
+                "contact_law": config.contact.law,
+                "restitution_nominal": law.restitution,
+                "restitution_realised": law.realised_restitution(),
+                "instruments": [attrs.asdict(one) for one in checks],
+            }
+        )
     elif checks:
         _print_instruments(checks, console)
     return 0 if all(one.ok for one in checks) else 1
@@ -71,8 +76,12 @@ def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None
         table.add_column(heading, justify="left" if heading in {"channel", ""} else "right", no_wrap=True)
     for check in checks:
         table.add_row(
-            check.channel, f"{100.0 * (abs(check.gain) - 1.0):+.3f} %", f"± {100.0 * check.gain_limit:.2f} %",
-            f"{math.degrees(check.phase_rad):+.3f}°", f"{100.0 * check.residual / check.residual_limit:.0f} %",
-            _POLARITY[check.polarity], Text("ok", "green") if check.ok else Text("not ok", "red"),
-        )  # fmt: skip
+            check.channel,
+            f"{100.0 * (abs(check.gain) - 1.0):+.3f} %",
+            f"± {100.0 * check.gain_limit:.2f} %",
+            f"{math.degrees(check.phase_rad):+.3f}°",
+            f"{100.0 * check.residual / check.residual_limit:.0f} %",
+            _POLARITY[check.polarity],
+            Text("ok", "green") if check.ok else Text("not ok", "red"),
+        )
     console.print(table)

@@ -92,10 +92,14 @@ def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
     """Add the options `--figures`, the directory of figures, with help text `what`, and `--format`, their formats."""
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
-        "--format", dest="formats", nargs="+", choices=FIGURE_FORMATS, default=FIGURE_FORMATS,
+        "--format",
+        dest="formats",
+        nargs="+",
+        choices=FIGURE_FORMATS,
+        default=FIGURE_FORMATS,
         metavar="FORMAT",
         help=f"formats of the figures: {', '.join(FIGURE_FORMATS)} (default: all)",
-    )  # fmt: skip
+    )
 
 
 def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap file") -> None:
@@ -107,9 +111,11 @@ def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap
 def add_recorded_rig(parser: argparse.ArgumentParser) -> None:
     """Add the option `--rig`, which selects one rig of a recording with several rigs by its namespace."""
     parser.add_argument(
-        RIG_OPTION, dest="rig", metavar="NAMESPACE",
+        RIG_OPTION,
+        dest="rig",
+        metavar="NAMESPACE",
         help="namespace of the rig to read, if several were recorded (default: the only one in the recording)",
-    )  # fmt: skip
+    )
 
 
 def add_config(parser: argparse.ArgumentParser, what: str = "rig configuration (default: the paper's rig)") -> None:
@@ -132,13 +138,16 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
         parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
     add_config(parser)
     parser.add_argument(
-        "--gap", type=GAP, metavar="LENGTH",
+        "--gap",
+        type=GAP,
+        metavar="LENGTH",
         help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--sphere-start", choices=("left", "centre", "right"),
+        "--sphere-start",
+        choices=("left", "centre", "right"),
         help="position of the sphere between the barriers at the start (default: as configured)",
-    )  # fmt: skip
+    )
 
 
 def running_namespace(arguments: argparse.Namespace) -> str:

@@ -38,7 +38,9 @@ CURRENT = Quantity(FieldInfo("Peak current.", "A", low=0.0))
 def add_record(commands: Commands) -> None:
     """Register the command `impact-rig record` with its options."""
     parser = subcommand(
-        commands, "record", "impact_rig.cli.record:run_record",
+        commands,
+        "record",
+        "impact_rig.cli.record:run_record",
         "record one run at one frequency and current, and measure its displacement transmissibility DT",
         [
             ("record --frequency 9.1 --current 0.52 --gap 6mm", "60 s of rig time, in this process"),
@@ -47,24 +49,33 @@ def add_record(commands: Commands) -> None:
         ],
         "The last printed line is the directory of the run. Exit code 0: DT was measured over the whole run; 1: it was "
         "not measured, or the run ended early, for the printed reason.",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--frequency", type=Quantity.of(FREQUENCY), metavar="HZ",
+        "--frequency",
+        type=Quantity.of(FREQUENCY),
+        metavar="HZ",
         help=f"drive frequency (default: {FREQUENCY_HZ}Hz; running rig: unchanged)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--current", type=CURRENT, metavar="A",
+        "--current",
+        type=CURRENT,
+        metavar="A",
         help="peak coil current of the shaker; on a running rig it is set to 0 at the end (default: "
         f"{CURRENT_A}A, on a running rig its present current)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--seconds", type=positive("s"), default=SECONDS, metavar="S",
+        "--seconds",
+        type=positive("s"),
+        default=SECONDS,
+        metavar="S",
         help="length of the run in rig time (default: %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--seed", type=int, metavar="N",
+        "--seed",
+        type=int,
+        metavar="N",
         help="seed of the instruments' noise and calibration errors (default: as configured)",
-    )  # fmt: skip
+    )
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: as configured)")
     add_rig(parser)
     add_output(parser, "directory of the run (default: runs/record_<time>)")
@@ -74,13 +85,16 @@ def add_record(commands: Commands) -> None:
 def add_info(commands: Commands) -> None:
     """Register the command `impact-rig info` with its options."""
     parser = subcommand(
-        commands, "info", "impact_rig.cli.recorded:run_info", "contents of a run, and whether it is complete",
+        commands,
+        "info",
+        "impact_rig.cli.recorded:run_info",
+        "contents of a run, and whether it is complete",
         [
             ("info runs/demo/gap_6mm", "verdict, duration, topics"),
             ("info runs/demo/gap_6mm --json", "the same for a script"),
         ],
         "Exit code 0: every checksum fits and nothing is known to be missing; 1: otherwise.",
-    )  # fmt: skip
+    )
     add_json(parser)
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
 
@@ -107,7 +121,9 @@ def analyses() -> Iterator[Analysis]:
 def add_analyze(commands: Commands) -> None:
     """Register the command `impact-rig analyze` with its options."""
     parser = subcommand(
-        commands, "analyze", "impact_rig.cli.analyze:run_analyze",
+        commands,
+        "analyze",
+        "impact_rig.cli.analyze:run_analyze",
         "analyse a run again like the live node, and compare the results",
         [
             ("analyze runs/demo/gap_6mm", "every measurement in it, and whether the live analysis found the same"),
@@ -117,7 +133,7 @@ def add_analyze(commands: Commands) -> None:
         "DT is the displacement transmissibility. Exit code 0: equal to the live analysis, or no live analysis to "
         "compare with, also if nothing was measured; 1: different, or not readable. With --sine or --drop 1 also means "
         "that the result is not valid.",
-    )  # fmt: skip
+    )
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also print rows that have no value of DT, with the reason")
     add_run(parser)
@@ -125,20 +141,26 @@ def add_analyze(commands: Commands) -> None:
     for analysis in analyses():
         analysis.add(instead)
     parser.add_argument(
-        "--segment", type=float, metavar="S",
+        "--segment",
+        type=float,
+        metavar="S",
         help="length in seconds of the segments that --frf averages; the lines are 1/S Hz apart (default: as long as "
         "resolving the resonance needs, at most 2/5 of the record)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--window", choices=WINDOWS, default="hann",
+        "--window",
+        choices=WINDOWS,
+        default="hann",
         help="window function of the segments of --frf; boxcar is for a drive that repeats every segment (default: "
         "%(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--damping", type=float, metavar="ZETA",
+        "--damping",
+        type=float,
+        metavar="ZETA",
         help="damping ratio of the resonance, from which --frf finds the length of its segments and whether they "
         "resolve the peak (default: estimated from the record)",
-    )  # fmt: skip
+    )
     add_figures(
         parser,
         "directory for figures of the last settled measurement (time traces, phase plane, spectrum) and of DT against "
@@ -171,11 +193,13 @@ SINE = Analysis(
 def add_verify(commands: Commands) -> None:
     """Register the command `impact-rig verify` with its options."""
     parser = subcommand(
-        commands, "verify", "impact_rig.cli.recorded:run_verify",
+        commands,
+        "verify",
+        "impact_rig.cli.recorded:run_verify",
         "re-simulate a run from its journal and compare every recorded topic of the rig bit for bit",
         [("verify runs/demo/gap_6mm", "prints `identical` or the first difference, then a line per topic")],
         "Exit code 0: identical; 1: different, or not verifiable.",
-    )  # fmt: skip
+    )
     add_run(parser)
     add_json(parser)
 
@@ -183,36 +207,50 @@ def add_verify(commands: Commands) -> None:
 def add_replay(commands: Commands) -> None:
     """Register the command `impact-rig replay` with its options."""
     parser = subcommand(
-        commands, "replay", "impact_rig.cli.recorded:run_replay",
+        commands,
+        "replay",
+        "impact_rig.cli.recorded:run_replay",
         "publish the messages of a run on its topics again, with /clock",
         [
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
         ],
-    )  # fmt: skip
+    )
     parser.set_defaults(needs_ros=lambda _: True)
     add_run(parser)
     parser.add_argument(
-        "--rate", type=_rate, default=1.0, metavar="X",
+        "--rate",
+        type=_rate,
+        default=1.0,
+        metavar="X",
         help="speed as a multiple of real time, or max: as fast as the peers follow (default: 1)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--peers", nargs="+", default=[], metavar="NODE",
+        "--peers",
+        nargs="+",
+        default=[],
+        metavar="NODE",
         help="nodes for whose acknowledgement of each block the replay waits, so that they lose none; required by "
         "--rate max",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--topics", nargs="+", default=[], metavar="TOPIC",
+        "--topics",
+        nargs="+",
+        default=[],
+        metavar="TOPIC",
         help="topics to publish, with --peers also daq/scan (default: all)",
-    )  # fmt: skip
+    )
     parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     parser.add_argument(
         "--paused", action="store_true", help="start paused, until a call of /player/pause with `data: false`"
     )
     parser.add_argument(
-        "--delay", type=_delay, default=1.0, metavar="S",
+        "--delay",
+        type=_delay,
+        default=1.0,
+        metavar="S",
         help="seconds to wait before the first message, so that subscribers find the topics (default: 1)",
-    )  # fmt: skip
+    )
 
 
 FASTEST = "max"
@@ -243,11 +281,13 @@ INCOMPLETE = 3  # exit code if the new run lacks parts of the old one
 def add_recover(commands: Commands) -> None:
     """Register the command `impact-rig recover` with its options."""
     parser = subcommand(
-        commands, "recover", "impact_rig.cli.recorded:run_recover",
+        commands,
+        "recover",
+        "impact_rig.cli.recorded:run_recover",
         "save every intact chunk of a damaged or unfinished run",
         [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
         f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
-    )  # fmt: skip
+    )
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     add_json(parser)
     parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
@@ -261,7 +301,9 @@ def add_recover(commands: Commands) -> None:
 def add_export(commands: Commands) -> None:
     """Register the command `impact-rig export` with its options."""
     parser = subcommand(
-        commands, "export", "impact_rig.cli.export:run_export",
+        commands,
+        "export",
+        "impact_rig.cli.export:run_export",
         "write a table of a run, campaign, map or study as .csv, .npz, .parquet or .uff",
         [
             ("export runs/demo/gap_6mm transmissibility/table dt.csv", "the measurements"),
@@ -269,33 +311,38 @@ def add_export(commands: Commands) -> None:
             ("export runs/campaign_paper points curves.uff", "curves as a universal file (dataset 58)"),
             ("export runs/dynamics_nominal bifurcation rows.csv", "the rows of a study of dynamics"),
         ],
-    )  # fmt: skip
+    )
     add_run(parser, "a run, or the directory of a campaign, a map or studies of dynamics")
     parser.add_argument(
         "topic",
         help="table to write: for a run a topic, e.g. transmissibility/table; for a campaign or a map: points; for "
         "dynamics: the kind of study",
-    )  # fmt: skip
+    )
     parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
 
 
 def add_fmu(commands: Commands) -> None:
     """Register the command `impact-rig fmu` with its options."""
     parser = subcommand(
-        commands, "fmu", "impact_rig.cli.fmu:run_fmu", "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",
+        commands,
+        "fmu",
+        "impact_rig.cli.fmu:run_fmu",
+        "write the rig as a co-simulation unit (FMI 3.0 or 2.0)",
         [
             ("fmu rig.fmu", "the paper's rig, for FMI 3.0"),
             ("fmu --config my_rig.yaml --fmi 2.0 my_rig.fmu", "another rig, for tools that know FMI 2.0"),
         ],
-    )  # fmt: skip
+    )
     parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write")
     add_config(parser)
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
-        "--kernels", type=Path, metavar="DIR",
+        "--kernels",
+        type=Path,
+        metavar="DIR",
         help="folder of kernels compiled for another machine, on which the FMU is to run; docs/how-to/fmu.md shows how "
         "to compile them (default: the kernels of this package)",
-    )  # fmt: skip
+    )
 
 
 PORT = 31763  # port of the NI gRPC Device Server
@@ -304,55 +351,70 @@ PORT = 31763  # port of the NI gRPC Device Server
 def add_daqmx(commands: Commands) -> None:
     """Register the command `impact-rig daqmx` with its options."""
     parser = subcommand(
-        commands, "daqmx", "impact_rig.cli.daqmx:run_daqmx", "serve the rig to scripts that use NI's nidaqmx package",
+        commands,
+        "daqmx",
+        "impact_rig.cli.daqmx:run_daqmx",
+        "serve the rig to scripts that use NI's nidaqmx package",
         [
             ("daqmx", "a simulated rig as Dev1, on this machine only"),
             ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
             ("daqmx --namespace /rig", "a rig that already runs in real time with drive.waveform: stream"),
         ],
         "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks.",
-    )  # fmt: skip
+    )
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
     add_config(parser)
     parser.add_argument(
         "--namespace", help="namespace of a running rig to serve (default: this program simulates a rig)"
     )
     parser.add_argument(
-        "--device", nargs="+", default=["Dev1"], metavar="NAME",
+        "--device",
+        nargs="+",
+        default=["Dev1"],
+        metavar="NAME",
         help="device names by which scripts may address the board (default: Dev1)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--host", default="127.0.0.1",
+        "--host",
+        default="127.0.0.1",
         help="address on which the server listens; any but the default lets other machines drive the rig (default: "
         "%(default)s)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--port", type=int, default=PORT,
+        "--port",
+        type=int,
+        default=PORT,
         help="port on which the server listens; 0: any free one (default: %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def add_check(commands: Commands) -> None:
     """Register the command `impact-rig check` with its options."""
     parser = subcommand(
-        commands, "check", "impact_rig.cli.check:run_check", "validate a configuration file without starting anything",
+        commands,
+        "check",
+        "impact_rig.cli.check:run_check",
+        "validate a configuration file without starting anything",
         [
             ("check config/nominal.yaml", "prints that it is valid, or key, value, range and file of a mistake"),
             ("check my_rig.yaml --instruments", "also applies a known sine to every channel"),
         ],
-    )  # fmt: skip
+    )
     parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
     add_json(parser)
     parser.add_argument(
-        "--instruments", action="store_true",
+        "--instruments",
+        action="store_true",
         help="also check gain, phase, noise and polarity of every channel of the board with a known sine",
-    )  # fmt: skip
+    )
 
 
 def add_interface(commands: Commands) -> None:
     """Register the command `impact-rig interface` with its options."""
     parser = subcommand(
-        commands, "interface", "impact_rig.cli.interface:run_interface",
+        commands,
+        "interface",
+        "impact_rig.cli.interface:run_interface",
         "list topics, services and parameters, or what changed from an earlier version",
         [
             ("interface --json > interface.json", "types, qualities of service, columns, ranges, defaults"),
@@ -360,9 +422,11 @@ def add_interface(commands: Commands) -> None:
         ],
         "Exit code 1 if a change breaks clients of the earlier version, or FILE cannot be read; "
         "docs/reference/interface.md lists the kinds of such changes.",
-    )  # fmt: skip
+    )
     add_json(parser)
     parser.add_argument(
-        "--against", type=Path, metavar="FILE",
+        "--against",
+        type=Path,
+        metavar="FILE",
         help="compare with an earlier version, described by the output of its `interface --json`",
-    )  # fmt: skip
+    )

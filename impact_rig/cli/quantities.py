@@ -152,9 +152,12 @@ def add_field(
         kind["nargs"] = "+"
     meaning = about.doc[:1].lower() + about.doc[1:].rstrip(".")
     parser.add_argument(
-        option or f"--{field.name.replace('_', '-')}", default=default, metavar=metavar,
-        help=f"{meaning} (default: {shown})", **kind,
-    )  # fmt: skip
+        option or f"--{field.name.replace('_', '-')}",
+        default=default,
+        metavar=metavar,
+        help=f"{meaning} (default: {shown})",
+        **kind,
+    )
 
 
 GAP = Quantity.of(attrs.fields(Barriers).gap_m, {NO_SPHERE_WORD: 0.0})

@@ -172,15 +172,20 @@ def _print(console: Console, found: RunMeasurements) -> None:
     relative = whole.u_transmissibility / whole.transmissibility
     table = TextTable(
         f"Uncertainty budget of DT, mean of {len(found.rows)} settled measurements",
-        left=("source", "error", "type"), right=("u/DT [%]", "u(DT)", "share [%]"),
-    )  # fmt: skip
+        left=("source", "error", "type"),
+        right=("u/DT [%]", "u(DT)", "share [%]"),
+    )
     for part in whole.parts:
         if whole.share(part) < NEGLIGIBLE:
             continue
         table.add_row(
-            part.source, part.what, part.evaluation, figure(100.0 * part.u_relative, ".2g"),
-            figure(part.u_relative * whole.transmissibility, ".2g"), figure(100.0 * whole.share(part), ".1f"),
-        )  # fmt: skip
+            part.source,
+            part.what,
+            part.evaluation,
+            figure(100.0 * part.u_relative, ".2g"),
+            figure(part.u_relative * whole.transmissibility, ".2g"),
+            figure(100.0 * whole.share(part), ".1f"),
+        )
     table.add_row("combined", "", "", f"{100.0 * relative:.2g}", f"{whole.u_transmissibility:.2g}", "100")
     console.print(table)
     last = found.rows[-1]
@@ -200,8 +205,13 @@ def _content(found: RunMeasurements) -> dict[str, object]:
         return {"transmissibility": None}
     whole, last = budget(found.rows, Calibration.from_info(found.info)), found.rows[-1]
     return {
-        "frequency_hz": last["frequency"], "gap_m": last["gap"], "regime": last["regime"],
-        "transmissibility": whole.transmissibility, "u_transmissibility": whole.u_transmissibility,
-        "phase_rad": last["phase"], "settled_measurements": len(found.rows),
-        "current_amplitude_a": last["current_amplitude"], "budget": [attrs.asdict(part) for part in whole.parts],
-    }  # fmt: skip
+        "frequency_hz": last["frequency"],
+        "gap_m": last["gap"],
+        "regime": last["regime"],
+        "transmissibility": whole.transmissibility,
+        "u_transmissibility": whole.u_transmissibility,
+        "phase_rad": last["phase"],
+        "settled_measurements": len(found.rows),
+        "current_amplitude_a": last["current_amplitude"],
+        "budget": [attrs.asdict(part) for part in whole.parts],
+    }

@@ -148,10 +148,14 @@ def _print_files(console: Console, report: RecoverReport) -> None:
     table = TextTable(left=("file",), right=("bytes", *numbers))
     for file in report.files:
         table.add_row(
-            file.name, str(file.size), str(file.messages), f"{file.given_s:.3f}",
+            file.name,
+            str(file.size),
+            str(file.messages),
+            f"{file.given_s:.3f}",
             "unknown" if file.missing_messages is None else str(file.missing_messages),
-            "unknown" if file.missing_s is None else f"{file.missing_s:.3f}", str(file.lost_bytes),
-        )  # fmt: skip
+            "unknown" if file.missing_s is None else f"{file.missing_s:.3f}",
+            str(file.lost_bytes),
+        )
     console.print(table)
 
 
@@ -165,8 +169,13 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
         "lost_bytes": report.lost_bytes,
         "files": [
             {
-                "name": one.name, "bytes": one.size, "messages": one.messages, "given_s": one.given_s,
-                "missing_messages": one.missing_messages, "missing_s": one.missing_s, "lost_bytes": one.lost_bytes,
+                "name": one.name,
+                "bytes": one.size,
+                "messages": one.messages,
+                "given_s": one.given_s,
+                "missing_messages": one.missing_messages,
+                "missing_s": one.missing_s,
+                "lost_bytes": one.lost_bytes,
             }
             for one in report.files
         ],
@@ -175,7 +184,7 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
             for one in report.damages
         ],
         "damage_count": report.damage_count,
-    }  # fmt: skip
+    }
 
 
 def run_replay(arguments: argparse.Namespace) -> int:

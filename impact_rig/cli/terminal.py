@@ -152,9 +152,14 @@ class Counted(Progress):
 
     def __init__(self, console: Console, what: str, total: int) -> None:
         columns = (
-            Words("{task.description}"), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(),
-            Words("left"), TimeRemainingColumn(), Words("{task.fields[state]}"),
-        )  # fmt: skip
+            Words("{task.description}"),
+            BarColumn(24),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            Words("left"),
+            TimeRemainingColumn(),
+            Words("{task.fields[state]}"),
+        )
         super().__init__(*columns, console=console, disable=not console.is_terminal)
         self.add_task(what, total=total, state="starting")
         self._steps = Steps(what, total)

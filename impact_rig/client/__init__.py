@@ -40,6 +40,11 @@ __all__ = [
 ]  # fmt: skip
 
 __getattr__ = lazily(
-    __name__, needs_ros="client", Client="client", Collector="client", RigGoneError="client",
-    ServiceFailedError="client", WaitTimeoutError="client",
-)  # fmt: skip
+    __name__,
+    needs_ros="client",
+    Client="client",
+    Collector="client",
+    RigGoneError="client",
+    ServiceFailedError="client",
+    WaitTimeoutError="client",
+)

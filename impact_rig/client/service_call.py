@@ -29,7 +29,7 @@ from rcl_interfaces.srv import (
     ListParameters,
     SetParameters,
     SetParametersAtomically,
-)  # fmt: skip
+)
 from rclpy.client import Client as ServiceClient
 
 AGAIN_S = 2.0  # interval after which a repeatable request is sent again

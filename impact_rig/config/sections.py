@@ -45,14 +45,21 @@ class Structure:
         0.13, "kg", "Equivalent mass m_1 of the superior base.", Origin.IDENTIFIED, at_least=1e-3, at_most=100
     )
     natural_frequency_hz: float = quantity(
-        9.105, "Hz", "Natural frequency f_n of the superior base on its columns; the paper prints 9.1.",
-        Origin.IDENTIFIED, at_least=0.1, at_most=1000,
-    )  # fmt: skip
+        9.105,
+        "Hz",
+        "Natural frequency f_n of the superior base on its columns; the paper prints 9.1.",
+        Origin.IDENTIFIED,
+        at_least=0.1,
+        at_most=1000,
+    )
     damping_ratio: float = quantity(
-        0.0044974, "-",
+        0.0044974,
+        "-",
         "Damping ratio ζ of the structure; m / (1.8 m_1) with the sphere's mass m, as the paper determines only m_1 ζ.",
-        Origin.IDENTIFIED, at_least=1e-6, below=1,
-    )  # fmt: skip
+        Origin.IDENTIFIED,
+        at_least=1e-6,
+        below=1,
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -81,9 +88,12 @@ class Shaker:
         764e-6, "H", "Coil inductance (voltage drive only).", at_least=1e-7, at_most=0.1
     )
     travel_limit_m: float = quantity(
-        6.35e-3, "m", "Largest travel of the table to either side; beyond it the interlock trips.", at_least=1e-6,
+        6.35e-3,
+        "m",
+        "Largest travel of the table to either side; beyond it the interlock trips.",
+        at_least=1e-6,
         at_most=1,
-    )  # fmt: skip
+    )
     current_limit_a_rms: float = quantity(
         15.0, "A", "Largest coil current, rms; larger commands are rejected.", at_least=1e-3, at_most=1e4
     )
@@ -106,23 +116,32 @@ class Drive:
     """Drive of the inferior base: quantity, waveform, and command at the start."""
 
     kind: str = choice(
-        "current", ("current", "prescribed", "voltage"),
+        "current",
+        ("current", "prescribed", "voltage"),
         "Quantity that a command sets: coil current, base motion (prescribed, paper's Eq. 3) or coil voltage.",
-    )  # fmt: skip
+    )
     waveform: str = choice("sine", ("sine", "chirp", "random", "stream"), "Shape of the drive signal.")
     frequency_hz: float = quantity(
-        9.1, "Hz", "Drive frequency before the first command; a chirp starts there.", Origin.PAPER, at_least=SLOWEST_HZ,
+        9.1,
+        "Hz",
+        "Drive frequency before the first command; a chirp starts there.",
+        Origin.PAPER,
+        at_least=SLOWEST_HZ,
         at_most=FASTEST_HZ,
-    )  # fmt: skip
+    )
     amplitude: float = quantity(
-        0.0, "A, m or V",
+        0.0,
+        "A, m or V",
         "Drive amplitude before the first command, peak (rms for random): ampere, metre or volt by `drive.kind`.",
         at_least=0,
-    )  # fmt: skip
+    )
     chirp_end_hz: float = quantity(
-        12.0, "Hz", "Frequency at which a chirp ends; the next one then starts at `drive.frequency_hz`.",
-        at_least=SLOWEST_HZ, at_most=FASTEST_HZ,
-    )  # fmt: skip
+        12.0,
+        "Hz",
+        "Frequency at which a chirp ends; the next one then starts at `drive.frequency_hz`.",
+        at_least=SLOWEST_HZ,
+        at_most=FASTEST_HZ,
+    )
     chirp_s: float = quantity(60.0, "s", "Duration of one linear chirp.", at_least=0.01, at_most=1e5)
     random_low_hz: float = quantity(
         5.0, "Hz", "Lower edge of the random band.", at_least=SLOWEST_NOISE_HZ, at_most=FASTEST_HZ
@@ -132,15 +151,17 @@ class Drive:
     )
     stream_rate_hz: int = integer(10_000, "Hz", "Samples per second of a stream.", at_least=1, at_most=50_000)
     stream_hold: str = choice(
-        "first_order", ("first_order", "zero_order"),
+        "first_order",
+        ("first_order", "zero_order"),
         "Drive between two samples of a stream: the straight line between them, or the earlier sample.",
-    )  # fmt: skip
+    )
     stream_buffer_s: float = quantity(2.0, "s", "Length of the buffer for stream samples.", at_least=0.02, at_most=60)
     stream_wait: bool = switch(True, "Whether rig time waits for the next stream samples in free_running and lockstep.")
     on_underrun: str = choice(
-        "ramp", ("ramp", "hold", "trip"),
+        "ramp",
+        ("ramp", "hold", "trip"),
         "Action at missing samples of a stream: ramp to zero within shaker.ramp_s, keep the last one, or trip.",
-    )  # fmt: skip
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -149,9 +170,10 @@ class Sphere:
 
     present: bool = switch(True, "Whether the sphere is on the rig.", Origin.PAPER)
     start: str = choice(
-        "left", ("left", "centre", "right"),
+        "left",
+        ("left", "centre", "right"),
         "Position of the sphere after a reset or a change of the mechanics; the steady response can depend on it.",
-    )  # fmt: skip
+    )
     diameter_m: float = quantity(6.35e-3, "m", "Diameter of the sphere.", Origin.PAPER, at_least=1e-4, at_most=1)
     density_kg_m3: float = quantity(
         7850.0, "kg/m^3", "Density of the sphere; that of steel gives a mass of 1.052 g.", at_least=100, at_most=1e5
@@ -161,9 +183,13 @@ class Sphere:
     )
     poisson_ratio: float = quantity(0.30, "-", "Poisson's ratio of the sphere (steel).", at_least=0, at_most=0.5)
     guide_friction: float = quantity(
-        0.0, "-", "Coulomb friction coefficient of the sphere on its guide; the paper has no friction.", Origin.PAPER,
-        at_least=0, at_most=2,
-    )  # fmt: skip
+        0.0,
+        "-",
+        "Coulomb friction coefficient of the sphere on its guide; the paper has no friction.",
+        Origin.PAPER,
+        at_least=0,
+        at_most=2,
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -171,9 +197,13 @@ class Barriers:
     """Two barriers on the superior base, between which the sphere moves."""
 
     gap_m: float = quantity(
-        6e-3, "m", "Total gap g: distance of the barriers minus the sphere's diameter.", Origin.PAPER, at_least=1e-6,
+        6e-3,
+        "m",
+        "Total gap g: distance of the barriers minus the sphere's diameter.",
+        Origin.PAPER,
+        at_least=1e-6,
         at_most=1,
-    )  # fmt: skip
+    )
     young_modulus_pa: float = quantity(
         70e9, "Pa", "Young's modulus of the barriers (aluminium).", at_least=1e6, at_most=1e13
     )
@@ -189,10 +219,12 @@ class Daq:
     )
     block_scans: int = integer(100, "scans", "Scans per published block.", at_least=1, at_most=10_000, read_only=True)
     clock_error_ppm: float = quantity(
-        0.0, "ppm",
+        0.0,
+        "ppm",
         "Error of the DAQ clock, > 0: slow. A second of rig time, which is DAQ time, is 1 + error seconds of motion.",
-        at_least=-1000, at_most=1000,
-    )  # fmt: skip
+        at_least=-1000,
+        at_most=1000,
+    )
     seed: int = integer(1, "-", "Seed of noise, calibration errors and random drive.", at_least=0, at_most=2**53)
 
 
@@ -201,10 +233,12 @@ class Time:
     """Pace of rig time, and the nodes for which it waits."""
 
     mode: str = choice(
-        "realtime", ("realtime", "free_running", "lockstep"),
+        "realtime",
+        ("realtime", "free_running", "lockstep"),
         "What advances rig time: the system clock, the acknowledgements of the peers, or calls of ~/step.",
-        read_only=True, formerly={"freewheel": "free_running", "stepped": "lockstep"},
-    )  # fmt: skip
+        read_only=True,
+        formerly={"freewheel": "free_running", "stepped": "lockstep"},
+    )
     factor: float = quantity(1.0, "-", "Speed of realtime as a multiple of real time.", above=0, at_most=1000)
     peers: tuple[str, ...] = names(
         (),
@@ -215,16 +249,20 @@ class Time:
         16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
     )
     peer_timeout_s: float = quantity(
-        3.0, "s", "Time without acknowledgement after which a peer counts as silent and rig time stops.",
+        3.0,
+        "s",
+        "Time without acknowledgement after which a peer counts as silent and rig time stops.",
         above=0,
-    )  # fmt: skip
+    )
     start_wait_s: float = quantity(
         120.0, "s", "Longest wait of realtime before scan 0 until all peers have subscribed.", at_least=0, at_most=3600
     )
     publish_clock: str = choice(
-        "auto", ("auto", "always", "never"), "Publish /clock; auto: unless in real time x 1.",
+        "auto",
+        ("auto", "always", "never"),
+        "Publish /clock; auto: unless in real time x 1.",
         switched={True: "always", False: "never"},
-    )  # fmt: skip
+    )
 
     def __attrs_post_init__(self) -> None:
         if self.mode == "free_running" and not self.peers:
@@ -262,9 +300,12 @@ class Output:
     """Publications of the rig node in addition to the scans, its start, and its command timeout."""
 
     monitor_rate_hz: float = quantity(
-        50.0, "Hz", "Message rate of the monitor topics, for plotters, and of truth/joint_states.", above=0,
+        50.0,
+        "Hz",
+        "Message rate of the monitor topics, for plotters, and of truth/joint_states.",
+        above=0,
         at_most=200,
-    )  # fmt: skip
+    )
     frame_prefix: str = text(
         "",
         "Prefix of all tf frames, as in robot_state_publisher; empty: the namespace of the node, /: none.",

@@ -531,9 +531,12 @@ class Board:
             return enough
 
         self._wait(
-            has_arrived, timeout_s, goes_on, Code.SAMPLES_NOT_YET_AVAILABLE,
+            has_arrived,
+            timeout_s,
+            goes_on,
+            Code.SAMPLES_NOT_YET_AVAILABLE,
             lambda: f"timeout after {timeout_s:g} s: {task.available} of {wanted} samples arrived ({task.state.value})",
-        )  # fmt: skip
+        )
         assert task.acquisition is not None
         values = self._values(task, task.acquisition.read(wanted))
         task.passed += wanted
@@ -602,9 +605,12 @@ class Board:
             return len(task.data) + len(values) <= size
 
         self._wait(
-            has_room, timeout_s, goes_on, Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+            has_room,
+            timeout_s,
+            goes_on,
+            Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
             lambda: f"timeout after {timeout_s:g} s: no room for {len(values)} samples, {len(task.data)} are queued",
-        )  # fmt: skip
+        )
         task.data = np.concatenate([task.data, values])
 
     def wait_until_done(self, task: DaqmxTask, timeout_s: float, goes_on: Callable[[], bool]) -> None:
@@ -621,14 +627,21 @@ class Board:
         if task.state is State.IDLE:
             raise DaqmxError(Code.CANNOT_PERFORM_OP_WHEN_TASK_NOT_RUNNING, "the task is not running: start it first")
         self._wait(
-            lambda: self.is_done(task), timeout_s, goes_on, Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
+            lambda: self.is_done(task),
+            timeout_s,
+            goes_on,
+            Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
             lambda: f"timeout after {timeout_s:g} s: the task is not done ({task.state.value})",
-        )  # fmt: skip
+        )
 
     def _wait(
-        self, is_over: Callable[[], bool], timeout_s: float, goes_on: Callable[[], bool], code: Code,
+        self,
+        is_over: Callable[[], bool],
+        timeout_s: float,
+        goes_on: Callable[[], bool],
+        code: Code,
         message: Callable[[], str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Wait until `is_over()`, and let other threads use the board meanwhile.
 
         Raises:

@@ -320,9 +320,13 @@ class Service:
         return self._follow(request, context, lambda _: None, pending, response)
 
     def _follow(
-        self, request: Any, context: Any, check: Callable[[DaqmxTask], None], pending: Callable[[DaqmxTask, int], int],
+        self,
+        request: Any,
+        context: Any,
+        check: Callable[[DaqmxTask], None],
+        pending: Callable[[DaqmxTask, int], int],
         response: Callable[[DaqmxTask], Any],
-    ) -> Iterator[Any]:  # fmt: skip
+    ) -> Iterator[Any]:
         """Yield responses about a task until it is cleared or the client leaves.
 
         Args:
@@ -398,8 +402,10 @@ class Service:
             pb.SYSTEM_ATTRIBUTE_NIDAQ_MINOR_VERSION: VERSION["MINOR"],
             pb.SYSTEM_ATTRIBUTE_NIDAQ_UPDATE_VERSION: VERSION["UPDATE"],
             pb.SYSTEM_ATTRIBUTE_DEV_NAMES: ", ".join(self.board.devices),
-            pb.SYSTEM_ATTRIBUTE_TASKS: "", pb.SYSTEM_ATTRIBUTE_GLOBAL_CHANS: "", pb.SYSTEM_ATTRIBUTE_SCALES: "",
-        }  # fmt: skip
+            pb.SYSTEM_ATTRIBUTE_TASKS: "",
+            pb.SYSTEM_ATTRIBUTE_GLOBAL_CHANS: "",
+            pb.SYSTEM_ATTRIBUTE_SCALES: "",
+        }
 
     def _device_properties(self, device: str) -> dict[int, Any]:
         pb = self._pb
@@ -418,11 +424,14 @@ class Service:
         measured = ACCELERATION if channel.is_accelerometer else VOLTAGE
         return {
             pb.CHANNEL_ATTRIBUTE_CHAN_TYPE: ANALOG_INPUT if task.kind == "ai" else ANALOG_OUTPUT,
-            pb.CHANNEL_ATTRIBUTE_AI_MEAS_TYPE: measured, pb.CHANNEL_ATTRIBUTE_AO_OUTPUT_TYPE: VOLTAGE,
+            pb.CHANNEL_ATTRIBUTE_AI_MEAS_TYPE: measured,
+            pb.CHANNEL_ATTRIBUTE_AO_OUTPUT_TYPE: VOLTAGE,
             pb.CHANNEL_ATTRIBUTE_PHYSICAL_CHAN_NAME: f"{channel.device}/{channel.physical}",
-            pb.CHANNEL_ATTRIBUTE_AI_MIN: channel.low, pb.CHANNEL_ATTRIBUTE_AI_MAX: channel.high,
-            pb.CHANNEL_ATTRIBUTE_AO_MIN: channel.low, pb.CHANNEL_ATTRIBUTE_AO_MAX: channel.high,
-        }  # fmt: skip
+            pb.CHANNEL_ATTRIBUTE_AI_MIN: channel.low,
+            pb.CHANNEL_ATTRIBUTE_AI_MAX: channel.high,
+            pb.CHANNEL_ATTRIBUTE_AO_MIN: channel.low,
+            pb.CHANNEL_ATTRIBUTE_AO_MAX: channel.high,
+        }
 
     def _task_properties(self, task: DaqmxTask) -> dict[int, Any]:
         pb = self._pb
@@ -492,9 +501,14 @@ class Service:
         if request.custom_scale_name:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "custom scales are not supported by this board")
         self.board.add_channels(
-            self._task(request), kind, request.physical_channel, request.name_to_assign_to_channel,
-            (request.min_val, request.max_val), per_volt, unit,
-        )  # fmt: skip
+            self._task(request),
+            kind,
+            request.physical_channel,
+            request.name_to_assign_to_channel,
+            (request.min_val, request.max_val),
+            per_volt,
+            unit,
+        )
 
     @staticmethod
     def _must_be(request: Any, field: str, allowed: set[int]) -> int:
@@ -556,13 +570,14 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     stubs = _load("nidaqmx._stubs.nidaqmx_pb2_grpc")
     with futures.ThreadPoolExecutor(MOST_CALLS) as pool:
         server = grpc.server(
-            pool, maximum_concurrent_rpcs=MOST_CALLS,
+            pool,
+            maximum_concurrent_rpcs=MOST_CALLS,
             options=[
                 ("grpc.max_receive_message_length", MOST_MESSAGE_BYTES),
                 ("grpc.max_send_message_length", MOST_MESSAGE_BYTES),
                 ("grpc.so_reuseport", 0),
             ],
-        )  # fmt: skip
+        )
         stubs.add_NiDAQmxServicer_to_server(servicer(board), server)
         try:
             port = server.add_insecure_port(address)

@@ -694,15 +694,15 @@ class ManagedNode(LifecycleNode, Generic[S]):
             **{f"last_refused.{reason}": text for reason, text in sorted(self.refusals.last.items())},
         }
         one = DiagnosticStatus(
-            level=bytes([level]), name=f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}",
-            message=one_line(message), hardware_id=f"impact_rig{self.get_namespace()}".rstrip("/"),
+            level=bytes([level]),
+            name=f"{self.get_fully_qualified_name().lstrip('/')}: {self.COMPONENT}",
+            message=one_line(message),
+            hardware_id=f"impact_rig{self.get_namespace()}".rstrip("/"),
             values=[
-                KeyValue(
-                    key=one_line(key), value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
-                )
+                KeyValue(key=one_line(key), value=f"{value:.6g}" if isinstance(value, float) else one_line(str(value)))
                 for key, value in values.items()
             ],
-        )  # fmt: skip
+        )
         array = DiagnosticArray(status=[one])
         array.header.stamp = messages.time_message(now_ns or 0)
         self._diagnostics.publish(array)

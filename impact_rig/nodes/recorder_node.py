@@ -84,9 +84,11 @@ class RecorderSettings:
 
     directory: str = text("runs", "Directory in which the directory of each run is created.")
     name: str = text(
-        "", "Name of the run's directory; empty means run_, date and time, and a number if that exists.",
-        pattern=f"({FILE_NAME})?", means=FILE_NAME_MEANS,
-    )  # fmt: skip
+        "",
+        "Name of the run's directory; empty means run_, date and time, and a number if that exists.",
+        pattern=f"({FILE_NAME})?",
+        means=FILE_NAME_MEANS,
+    )
     record: bool = switch(
         True, "Whether recording starts at activation; otherwise it starts with ~/start.", read_only=True
     )

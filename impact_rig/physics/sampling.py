@@ -103,9 +103,7 @@ from impact_rig.physics.state import (
 
 OF_X_B, OF_X_1, OF_X_2, OF_V_B, OF_V_1, OF_V_2, OF_A_B, OF_A_1, OF_A_2 = range(9)
 OF_CURRENT, OF_FORCE_LEFT, OF_FORCE_RIGHT = range(9, 12)
-QUANTITIES = (
-    "x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"
-)  # fmt: skip
+QUANTITIES = ("x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right")
 """Names of the quantities for which a motion can be evaluated, SI: displacement, velocity and acceleration of inferior
 base (b), superior base (1) and sphere (2), current of the coil, and the forces of both walls. OF_X_1 is the index of
 x_1 here, X1 that in a structural state.

@@ -99,8 +99,9 @@ def to_xarray(run: Run, topic: str) -> Any:
     coordinates = {name: (TIME, columns.pop(name)) for name in (TIME, TIMESTAMP, EARLIER)}
     dataset = xarray.Dataset(
         {name: (TIME, column, described.get(name, {})) for name, column in columns.items()},
-        coordinates, {"run": str(run.path), "topic": run.resolve(topic)},
-    )  # fmt: skip
+        coordinates,
+        {"run": str(run.path), "topic": run.resolve(topic)},
+    )
     dataset[TIME].attrs |= {"units": "s", "long_name": "Since the first scan of the recording."}
     return dataset
 

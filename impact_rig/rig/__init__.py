@@ -23,8 +23,13 @@ if TYPE_CHECKING:
     from impact_rig.rig.resimulation import resimulate
 
 __getattr__ = lazily(  # `rig.config` works without compiled code
-    __name__, Block="core", takes_effect="journal", Rig="core", Journal="journal", InputKind="journal",
+    __name__,
+    Block="core",
+    takes_effect="journal",
+    Rig="core",
+    Journal="journal",
+    InputKind="journal",
     resimulate="resimulation",
-)  # fmt: skip
+)
 
 __all__ = ["Block", "InputKind", "Journal", "Rig", "resimulate", "takes_effect"]

@@ -108,8 +108,11 @@ class JournalEntry:
     def line(self) -> str:
         """Return the entry as one line of JSON, without empty members."""
         content: dict[str, Any] = {
-            "sequence": self.sequence, "kind": self.kind.value, "sample": self.sample, "stamp_ns": self.stamp_ns
-        }  # fmt: skip
+            "sequence": self.sequence,
+            "kind": self.kind.value,
+            "sample": self.sample,
+            "stamp_ns": self.stamp_ns,
+        }
         content |= {key: found for key in ("name", "value", "text") if (found := getattr(self, key)) not in ("", None)}
         if self.values:
             content["values"] = dict(self.values)

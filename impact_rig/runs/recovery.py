@@ -526,9 +526,13 @@ def _key(message: records.RawMessage) -> _Key:
 
 
 _OWN_RECORDS = (
-    description.RECORD_NAME, description.TOPIC_RECORD_NAME, losses.RECORD_NAME, RECORD_NAME, TAIL_RECORD_NAME,
+    description.RECORD_NAME,
+    description.TOPIC_RECORD_NAME,
+    losses.RECORD_NAME,
+    RECORD_NAME,
+    TAIL_RECORD_NAME,
     digests.RECORD_NAME,
-)  # fmt: skip
+)
 """Names of the metadata records of this package, which carry a checksum of their own."""
 
 

@@ -36,9 +36,7 @@ if TYPE_CHECKING:
     from impact_rig.testing.golden import Golden, first_difference
     from impact_rig.testing.schedule import ScheduledRig
 
-__all__ = [
-    "Fault", "Golden", "LocalRig", "NotReachedError", "RigDriver", "RosRig", "ScheduledRig", "first_difference"
-]  # fmt: skip
+__all__ = ["Fault", "Golden", "LocalRig", "NotReachedError", "RigDriver", "RosRig", "ScheduledRig", "first_difference"]
 
 __getattr__ = lazily(
     __name__,

@@ -451,9 +451,11 @@ class ScheduledRig(LocalRig):
             stamp = messages.header_stamp_ns(message) if hasattr(message, "header") else None
             self._note(hosted, f"{ready.source} {number if stamp is None else f'{stamp / NS_PER_S:.9f}'}")
             info = {
-                "source_timestamp": self._time_ns, "received_timestamp": self._time_ns,
-                "publication_sequence_number": number, "reception_sequence_number": number,
-            }  # fmt: skip
+                "source_timestamp": self._time_ns,
+                "received_timestamp": self._time_ns,
+                "publication_sequence_number": number,
+                "reception_sequence_number": number,
+            }
             self._call(hosted, f"its callback for {ready.source}", call_subscription, subscription, (message, info))
         due = [action for left, action in self._planned if left <= 0]
         self._planned = [planned for planned in self._planned if planned[0] > 0]

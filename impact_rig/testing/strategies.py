@@ -372,9 +372,14 @@ def search(
     last: list[RigDriver] = []
 
     @settings(
-        max_examples=examples, deadline=None, database=None, derandomize=True, report_multiple_bugs=False,
-        phases=(Phase.explicit, Phase.generate, Phase.shrink), print_blob=False,
-    )  # fmt: skip
+        max_examples=examples,
+        deadline=None,
+        database=None,
+        derandomize=True,
+        report_multiple_bugs=False,
+        phases=(Phase.explicit, Phase.generate, Phase.shrink),
+        print_blob=False,
+    )
     @given(among if among is not None else scenarios())
     def played_and_checked(actions: list[Action]) -> None:
         while last:

@@ -105,12 +105,16 @@ def _content(done: run.Finished) -> dict[str, object]:
         ],
         "failed": [
             {
-                "study": point.study, "case": point.label, "axes": dict(point.axes),
-                "frequency_hz": point.frequency_hz, "direction": point.direction, "why": point.status,
+                "study": point.study,
+                "case": point.label,
+                "axes": dict(point.axes),
+                "frequency_hz": point.frequency_hz,
+                "direction": point.direction,
+                "why": point.status,
             }
             for point in done.failed()
         ],
-    }  # fmt: skip
+    }
 
 
 def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
@@ -140,10 +144,12 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
     table.add_row("none", *rounded(reductions.dt_no_sphere, u[0.0]), "", "", "", "", end_section=True)
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", *rounded(reductions.dt[gap], u[gap]),
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", *rounded(value, spread[gap]),
+            f"{gap * 1e3:g}",
+            *rounded(reductions.dt[gap], u[gap]),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}",
+            *rounded(value, spread[gap]),
             f"{round(errors[gap], 1) + 0.0:+.1f}",
-        )  # fmt: skip
+        )
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()
     close = largest <= paper.POINTS_LIMIT and rms <= paper.RMS_LIMIT
@@ -164,9 +170,13 @@ def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
     colours = {"pass": "green", "FAIL": "red"}
     for number, verdict in enumerate(verdicts, 1):
         table.add_row(
-            str(number), verdict.text, verdict.word, verdict.kind.value, verdict.detail,
+            str(number),
+            verdict.text,
+            verdict.word,
+            verdict.kind.value,
+            verdict.detail,
             style=colours.get(verdict.word, "bright_black"),
-        )  # fmt: skip
+        )
     console.print(table)
 
 

@@ -67,23 +67,27 @@ def _content(found: Comparison) -> dict[str, object]:
         "driven_by": found.driven_by,
         "places": [
             {
-                "gap_mm": 1e3 * one.gap_m, "frequency_hz": one.frequency_hz,
+                "gap_mm": 1e3 * one.gap_m,
+                "frequency_hz": one.frequency_hz,
                 **{
                     f"{side}_{name}": None if row is None else row[name]
                     for name in ("transmissibility", "transmissibility_uncertainty", "phase", "phase_uncertainty")
                     for side, row in (("measured", one.measured), ("model", one.model))
                 },
-                "transmissibility_off_u": one.off("transmissibility"), "phase_off_u": one.off("phase"),
+                "transmissibility_off_u": one.off("transmissibility"),
+                "phase_off_u": one.off("phase"),
             }
             for one in found.places
         ],
         "traces": {
-            "from_s": found.excerpt.rows["time"][0], "to_s": found.excerpt.rows["time"][-1],
-            "structure_rms_m": np.std(motion), "residual_rms_m": np.std(residual),
+            "from_s": found.excerpt.rows["time"][0],
+            "to_s": found.excerpt.rows["time"][-1],
+            "structure_rms_m": np.std(motion),
+            "residual_rms_m": np.std(residual),
         },
         "missing_for_constants": list(found.missing),
         **(identified_content(found.constants) if found.constants is not None else {}),
-    }  # fmt: skip
+    }
 
 
 def _print(console: Console, found: Comparison) -> None:
@@ -91,8 +95,9 @@ def _print(console: Console, found: Comparison) -> None:
 
     table = TextTable(
         f"Measured, and the model driven by the measured {found.driven_by}",
-        right=("gap [mm]", "frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]", "phase off [u]"), last=("",),
-    )  # fmt: skip
+        right=("gap [mm]", "frequency [Hz]", "DT measured", "± 2u", "DT model", "off [u]", "phase off [u]"),
+        last=("",),
+    )
     for one in found.places:
         dt, phase = one.off("transmissibility"), one.off("phase")
         row = one.measured

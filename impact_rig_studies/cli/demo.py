@@ -226,9 +226,12 @@ def _print_table(console: Console, reductions: Reductions, closed_form: float) -
     )
     for gap, value in sorted(ours.items()):
         table.add_row(
-            f"{gap * 1e3:g}", figure(reductions.dt[gap], ".2f"), *rounded(value, spread[gap]),
-            f"{paper.REDUCTION_PERCENT[gap]:.1f}", figure(errors[gap], "+.1f"),
-        )  # fmt: skip
+            f"{gap * 1e3:g}",
+            figure(reductions.dt[gap], ".2f"),
+            *rounded(value, spread[gap]),
+            f"{paper.REDUCTION_PERCENT[gap]:.1f}",
+            figure(errors[gap], "+.1f"),
+        )
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()
     console.print(f"difference from the paper: largest {largest:.1f} points, rms {rms:.1f} points")

@@ -135,11 +135,14 @@ def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, 
     for row in rows:
         error = [figure(100 * row["error"], "+.2f"), "" if row["held"] else "NOT HELD"] if held else []
         table.add_row(
-            f"{row['frequency']:g}", *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
+            f"{row['frequency']:g}",
+            *rounded(row["transmissibility"], row["transmissibility_uncertainty"]),
             figure(row["base_amplitude"] * 1e6, ".2f"),
-            figure(row["laser_amplitude"] * 1e3, ".3f"), figure(row["current_amplitude"], ".4f"),
-            *error, row["regime"].decode(),
-        )  # fmt: skip
+            figure(row["laser_amplitude"] * 1e3, ".3f"),
+            figure(row["current_amplitude"], ".4f"),
+            *error,
+            row["regime"].decode(),
+        )
     _tell(arguments, directory, table, ended, content)
     return 1 if ended or (held and not np.all(rows["held"] == 1.0)) else 0
 
@@ -176,10 +179,13 @@ def run_lock(arguments: argparse.Namespace) -> int:
     )
     for row in lock.rows[:: max(1, len(lock.rows) // SHOWN)]:
         table.add_row(
-            f"{row['time']:.1f}", f"{row['frequency']:.4f}", figure(math.degrees(row["phase"]), ".2f"),
-            figure(row["transmissibility"], ".2f"), figure(row["laser_amplitude"] * 1e3, ".3f"),
+            f"{row['time']:.1f}",
+            f"{row['frequency']:.4f}",
+            figure(math.degrees(row["phase"]), ".2f"),
+            figure(row["transmissibility"], ".2f"),
+            figure(row["laser_amplitude"] * 1e3, ".3f"),
             "yes" if row["locked"] else "",
-        )  # fmt: skip
+        )
     if early or missing:
         _tell(arguments, directory, table, f"ended early: {early}" if early else missing, content)
         return 1
@@ -212,11 +218,15 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     for one in points:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
-            one.direction, f"{one.current_a:.4f}", *rounded(one.frequency_hz, one.u_frequency_hz),
+            one.direction,
+            f"{one.current_a:.4f}",
+            *rounded(one.frequency_hz, one.u_frequency_hz),
             *rounded(one.dt, one.u_dt),
-            figure(one.superior_m * 1e3, ".3f"), f"{gap_m / one.superior_m:.2f}" if gap_m != NO_SPHERE else "-",
-            figure(one.phase_deg, ".2f"), ", ".join(words),
-        )  # fmt: skip
+            figure(one.superior_m * 1e3, ".3f"),
+            f"{gap_m / one.superior_m:.2f}" if gap_m != NO_SPHERE else "-",
+            figure(one.phase_deg, ".2f"),
+            ", ".join(words),
+        )
     _tell(arguments, directory, table, f"ended early: {why}" if why else "", content)
     return 1 if why else 0
 

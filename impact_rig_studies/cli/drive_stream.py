@@ -74,9 +74,12 @@ def run_frf(arguments: argparse.Namespace) -> int:
     title = f"Frequency response: {arguments.response} over {arguments.reference}, {arguments.kind.replace('_', ' ')}"
     unit = f"{SI[arguments.response]}/{SI[arguments.reference]}"
     return _drive(
-        arguments, title, unit, lambda rig: measure(rig, excitation, arguments.response, arguments.reference),
+        arguments,
+        title,
+        unit,
+        lambda rig: measure(rig, excitation, arguments.response, arguments.reference),
         of=f" of {excitation.frames}",
-    )  # fmt: skip
+    )
 
 
 def _plan(arguments: argparse.Namespace, kind: type[P]) -> P:
@@ -150,8 +153,10 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 
     stream = {
-        "drive.waveform": "stream", "drive.stream_rate_hz": arguments.scan_rate, "daq.rate_hz": arguments.scan_rate,
-    }  # fmt: skip
+        "drive.waveform": "stream",
+        "drive.stream_rate_hz": arguments.scan_rate,
+        "daq.rate_hz": arguments.scan_rate,
+    }
     config, gap_m = rig_of(arguments)
     config = from_flat(config, stream)
     if config.drive.kind != "current":
@@ -179,13 +184,18 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
             raise interrupted or ImpactRigError(f"{early}; the recording so far is in {directory}")
         summary = tell(found, unit)
         figures = {
-            "title": title, "unit": unit, "rate_hz": arguments.scan_rate, "ended_early": early, **summary.figures,
-        }  # fmt: skip
+            "title": title,
+            "unit": unit,
+            "rate_hz": arguments.scan_rate,
+            "ended_early": early,
+            **summary.figures,
+        }
         about = [
-            ("Rig", running_namespace(arguments) or case_of(gap_m)), ("Through", arguments.through),
+            ("Rig", running_namespace(arguments) or case_of(gap_m)),
+            ("Through", arguments.through),
             ("Rate", f"{arguments.scan_rate} Hz"),
             ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
-        ]  # fmt: skip
+        ]
         files.write_text(directory / f"{test}.json", json.dumps(files.plain(figures), indent=2) + "\n")
         page = directory / f"{test}.html"
         # an ending that takes too long is cut short, so the sentences come first

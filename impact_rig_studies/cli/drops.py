@@ -38,10 +38,14 @@ def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     drops, found = drops_of(run, arguments.drop)
     each = np.array([math.sqrt(one.h1_m / one.h0_m) for one in drops])
     if arguments.json:
-        tell_json({
-            "run": str(run.path), "restitution": found.restitution, "u_restitution": found.u_restitution,
-            "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
-        })  # fmt: skip
+        tell_json(
+            {
+                "run": str(run.path),
+                "restitution": found.restitution,
+                "u_restitution": found.u_restitution,
+                "drops": [{"h0_m": one.h0_m, "h1_m": one.h1_m, "e": e} for one, e in zip(drops, each, strict=True)],
+            }
+        )
     table = TextTable("Drop test", right=("drop", "from [m]", "back to [m]", "e"))
     for number, (one, e) in enumerate(zip(drops, each, strict=True), 1):
         table.add_row(str(number), f"{one.h0_m:g}", f"{one.h1_m:g}", f"{e:.4f}")

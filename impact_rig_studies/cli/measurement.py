@@ -88,10 +88,14 @@ def run_import(arguments: argparse.Namespace) -> int:
                 console.print(f"left out of the campaign: {point}", style="yellow")
             console.print(f"campaign of {len(done.points)} points")
     if arguments.json:
-        tell_json({
-            "runs": [str(one) for one in directories], "files": shown, "left_out": left_out,
-            "written": not arguments.dry_run,
-        })  # fmt: skip
+        tell_json(
+            {
+                "runs": [str(one) for one in directories],
+                "files": shown,
+                "left_out": left_out,
+                "written": not arguments.dry_run,
+            }
+        )
     elif arguments.dry_run:
         console.print("nothing was written (--dry-run)", style="yellow")
     else:
@@ -122,9 +126,11 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
             channels = with_channel(channels, text, source.signals)
     changes: dict[str, object] = {"channels": channels, "notes": (*mapping.notes, *arguments.note)}
     given = {
-        "rate_hz": arguments.scan_rate, "resample_hz": arguments.resample, "frequency": arguments.frequency,
+        "rate_hz": arguments.scan_rate,
+        "resample_hz": arguments.resample,
+        "frequency": arguments.frequency,
         "gap": arguments.gap,
-    }  # fmt: skip
+    }
     given = {name: value for name, value in given.items() if value is not None}
     changes["guessed"] = mapping.guessed - set(given)
     return attrs.evolve(mapping, **changes, **given)  # type: ignore[arg-type]  # as the fields are

@@ -46,7 +46,9 @@ from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan, SweepPlan
 def add_demo(commands: Commands) -> None:
     """Register the command `impact-rig demo` with its options."""
     parser = subcommand(
-        commands, "demo", "impact_rig_studies.cli.demo:run_demo",
+        commands,
+        "demo",
+        "impact_rig_studies.cli.demo:run_demo",
         "measure the paper's five reductions of displacement transmissibility DT with a rig, an analysis and a "
         "recorder as ROS processes",
         [
@@ -56,7 +58,7 @@ def add_demo(commands: Commands) -> None:
         "The last line is the directory of the results. Exit code 0: every reduction is within 3 points of the paper "
         "and grows with the gap, DT without sphere is as in theory, and no block was lost; 1: a check failed, which is "
         "named.",
-    )  # fmt: skip
+    )
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
     add_output(parser, "directory for runs, figure and summary (default: runs/demo_<date>)")
@@ -69,22 +71,25 @@ def add_demo(commands: Commands) -> None:
 def add_compare(commands: Commands) -> None:
     """Register the command `impact-rig compare` with its options."""
     parser = subcommand(
-        commands, "compare", "impact_rig_studies.cli.compare:run_compare",
+        commands,
+        "compare",
+        "impact_rig_studies.cli.compare:run_compare",
         "compare a measurement with the model, and fit the model's constants",
         [
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
             ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
         ],
         "Works with recorded and imported runs: docs/tutorials/own_measurement.md.",
-    )  # fmt: skip
+    )
     add_json(parser)
     add_run(parser)
     add_config(parser, "configuration of the model (default: that in the run, else the paper's rig)")
     parser.add_argument(
-        "--drive", choices=("current", "base"),
+        "--drive",
+        choices=("current", "base"),
         help="measured quantity that drives the model: coil current, or motion of the inferior base (default: current "
         "if it was measured)",
-    )  # fmt: skip
+    )
     add_figures(parser, "directory for a figure of model and measurement (default: no figure)")
     parser.add_argument(
         "--no-fit", action="store_true", help="skip the search for the model's constants that fit the measurement best"
@@ -98,7 +103,9 @@ GAP_LABEL = attrs.evolve(GAP, names=True)
 def add_import(commands: Commands) -> None:
     """Register the command `impact-rig import` with its options."""
     parser = subcommand(
-        commands, "import", "impact_rig_studies.cli.measurement:run_import",
+        commands,
+        "import",
+        "impact_rig_studies.cli.measurement:run_import",
         "import a measurement of your own rig as a run, or several as a campaign",
         [
             ("import test.csv --output runs/mine --dry-run", "shows the assignment of the columns, and writes nothing"),
@@ -114,48 +121,65 @@ def add_import(commands: Commands) -> None:
         "files, or in DIR/runs/NAME with --campaign. DT, the displacement transmissibility, needs laser (motion of the "
         "structure) and base (motion below the structure), each as displacement, velocity or acceleration; without "
         "them the run has no DT: docs/tutorials/own_measurement.md.",
-    )  # fmt: skip
+    )
     add_json(parser)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="measurement in one of the formats below")
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="DIR",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
         help="new directory that receives the run, several runs, or the campaign",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
     )
     parser.add_argument(
-        "--mapping", type=Path, metavar="YAML",
+        "--mapping",
+        type=Path,
+        metavar="YAML",
         help="YAML file that assigns the signals to channels, with units and calibration",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--channel", action="append", nargs="+", default=[], metavar="NAME=SIGNAL",
+        "--channel",
+        action="append",
+        nargs="+",
+        default=[],
+        metavar="NAME=SIGNAL",
         help="signal of the file to use as a channel, with unit and sensitivity if the file has none: laser=ai0, "
         "laser='ai0 mm', laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), "
         "current",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--scan-rate", type=float, metavar="HZ", help="scans per second (default: by the rate or times in the file)"
     )
     parser.add_argument(
-        "--resample", type=int, metavar="HZ",
+        "--resample",
+        type=int,
+        metavar="HZ",
         help="scans per second for the interpolation of signals that are not uniform in time (default: none)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--frequency", type=FREQUENCY, metavar="HZ|SIGNAL",
+        "--frequency",
+        type=FREQUENCY,
+        metavar="HZ|SIGNAL",
         help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--gap", type=GAP_LABEL, metavar="LENGTH|SIGNAL",
+        "--gap",
+        type=GAP_LABEL,
+        metavar="LENGTH|SIGNAL",
         help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--commands", type=Path, metavar="FILE", help="table of the drive commands: time, frequency, current"
     )
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE",
+        "--calibration",
+        type=Path,
+        metavar="FILE",
         help="table of the instruments' calibration: columns of daq/info, one row per channel",
-    )  # fmt: skip
+    )
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
     parser.add_argument(
         "--campaign", action="store_true", help="combine the runs into one campaign, for report and identify"
@@ -166,7 +190,10 @@ def add_import(commands: Commands) -> None:
 def add_drive(commands: Commands) -> None:
     """Register the command `impact-rig drive` with a subcommand for each of its tests, in the order of the help."""
     parser = subcommand(
-        commands, "drive", None, "drive a rig: signals, sine sweeps, controlled amplitudes, resonances, shocks",
+        commands,
+        "drive",
+        None,
+        "drive a rig: signals, sine sweeps, controlled amplitudes, resonances, shocks",
         [
             ("drive play road.csv --signal drive --scale 0.5", "half of a column as the current"),
             ("drive sweep --gap 6mm", "DT over the frequency at a constant current"),
@@ -176,7 +203,7 @@ def add_drive(commands: Commands) -> None:
         ],
         "`impact-rig drive TEST --help` shows the options of a test. DT is the displacement "
         "transmissibility. Each test writes its results to a new directory, whose name is the last line of its output.",
-    )  # fmt: skip
+    )
     tests = parser.add_subparsers(dest="test", required=True, metavar="TEST", help="kind of test")
     for add in (
         _add_play, _add_frf, _add_hold, _add_sweep, _add_lock,
@@ -197,21 +224,25 @@ SI = {"accelerometer": "(m/s²)", "laser": "m", "base": "m", "current": "A"}
 def _add_play(tests: Commands) -> None:
     """Register the test `impact-rig drive play` with its options."""
     parser = subcommand(
-        tests, "play", "impact_rig_studies.cli.drive_stream:run_play",
+        tests,
+        "play",
+        "impact_rig_studies.cli.drive_stream:run_play",
         "drive the rig with a signal of a file or of a run",
         [
             ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
             ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
         ],
-    )  # fmt: skip
+    )
     _add_signal(parser, "current")
     parser.add_argument(
         "--seconds", type=positive("s"), metavar="S", help="rig time after which the signal ends (default: all of it)"
     )
     parser.add_argument(
-        "--clip", type=positive("A"), metavar="A",
+        "--clip",
+        type=positive("A"),
+        metavar="A",
         help="current to which larger samples are clipped (default: a sample above the shaker's limit ends the test)",
-    )  # fmt: skip
+    )
     _add_stream_options(parser, "play", FAST_HZ)
 
 
@@ -219,13 +250,15 @@ def _add_frf(tests: Commands) -> None:
     """Register the test `impact-rig drive frf` with its options."""
     default = signals.Excitation()
     parser = subcommand(
-        tests, "frf", "impact_rig_studies.cli.drive_stream:run_frf",
+        tests,
+        "frf",
+        "impact_rig_studies.cli.drive_stream:run_frf",
         "measure a frequency response with random noise or a chirp",
         [
             ("drive frf --gap none", "base over current, with bursts of noise"),
             ("drive frf --response laser --reference base --kind chirp", "structure over base"),
         ],
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--kind", choices=signals.KINDS, default=default.kind, help=f"signal of the drive (default: {default.kind})"
     )
@@ -234,25 +267,33 @@ def _add_frf(tests: Commands) -> None:
         "--reference", choices=tuple(SI), default="current", help="channel of the reference (default: current)"
     )
     for option, metavar, text in (
-        ("frames", "N", "number of frames to average"), ("frame_s", "S", "length of a frame in s"),
-        ("low_hz", "HZ", "lower edge of the excited band"), ("high_hz", "HZ", "upper edge of the excited band"),
-        ("rms", "A", "RMS current of the drive"), ("drive_seed", "N", "seed of the drive's random numbers"),
-    ):  # fmt: skip
+        ("frames", "N", "number of frames to average"),
+        ("frame_s", "S", "length of a frame in s"),
+        ("low_hz", "HZ", "lower edge of the excited band"),
+        ("high_hz", "HZ", "upper edge of the excited band"),
+        ("rms", "A", "RMS current of the drive"),
+        ("drive_seed", "N", "seed of the drive's random numbers"),
+    ):
         value = getattr(default, EXCITATION[option])
         parser.add_argument(
-            f"--{option.replace('_', '-')}", type=type(value), default=value, metavar=metavar,
+            f"--{option.replace('_', '-')}",
+            type=type(value),
+            default=value,
+            metavar=metavar,
             help=f"{text} (default: {value})",
-        )  # fmt: skip
+        )
     _add_stream_options(parser, "frf", RATE_HZ)
 
 
 def _add_random(tests: Commands) -> None:
     """Register the test `impact-rig drive random` with its options."""
     parser = subcommand(
-        tests, "random", "impact_rig_studies.cli.drive_stream:run_random",
+        tests,
+        "random",
+        "impact_rig_studies.cli.drive_stream:run_random",
         "shake the rig with random noise, corrected until a response has a requested power spectral density",
         [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
-    )  # fmt: skip
+    )
     parser.add_argument(
         "plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random", "the base's acceleration, 5 to 200 Hz")
     )
@@ -262,25 +303,31 @@ def _add_random(tests: Commands) -> None:
 def _add_replicate(tests: Commands) -> None:
     """Register the test `impact-rig drive replicate` with its options."""
     parser = subcommand(
-        tests, "replicate", "impact_rig_studies.cli.drive_stream:run_replicate",
+        tests,
+        "replicate",
+        "impact_rig_studies.cli.drive_stream:run_replicate",
         "make a motion of the rig follow a given signal, by learning from repeated trials",
         [("drive replicate road.csv --signal x_b --unit mm", "the motion of the base follows the column x_b")],
-    )  # fmt: skip
+    )
     _add_signal(parser, "the one that follows")
     parser.add_argument(
-        "--plan", type=Path, metavar="FILE",
+        "--plan",
+        type=Path,
+        metavar="FILE",
         help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 20 trials"),
-    )  # fmt: skip
+    )
     _add_stream_options(parser, "replicate", RATE_HZ)
 
 
 def _add_shock(tests: Commands) -> None:
     """Register the test `impact-rig drive shock` with its options."""
     parser = subcommand(
-        tests, "shock", "impact_rig_studies.cli.drive_stream:run_shock",
+        tests,
+        "shock",
+        "impact_rig_studies.cli.drive_stream:run_shock",
         "make the base follow a compensated half sine, by learning from repeated trials",
         [("drive shock", "20 m/s², 11 ms")],
-    )  # fmt: skip
+    )
     parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock", "20 m/s², 11 ms"))
     _add_stream_options(parser, "shock", FAST_HZ)
 
@@ -290,9 +337,10 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
     )
     parser.add_argument(
-        "--signal", metavar="NAME",
+        "--signal",
+        metavar="NAME",
         help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
-    )  # fmt: skip
+    )
     parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
@@ -305,13 +353,20 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
     add_rig(parser, needs=" and drive.waveform: stream")
     parser.add_argument(
-        "--scan-rate", type=int, default=rate_hz, metavar="HZ",
+        "--scan-rate",
+        type=int,
+        default=rate_hz,
+        metavar="HZ",
         help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--abort", nargs="+", type=_limit, default=[], metavar="CHANNEL=X",
+        "--abort",
+        nargs="+",
+        type=_limit,
+        default=[],
+        metavar="CHANNEL=X",
         help="limits of channels; a reading beyond one ends the test, e.g. laser=5mm current=2A",
-    )  # fmt: skip
+    )
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
 
@@ -331,13 +386,17 @@ def _limit(text: str) -> tuple[str, float]:
 def _add_hold(tests: Commands) -> None:
     """Register the test `impact-rig drive hold` with its options."""
     parser = subcommand(
-        tests, "hold", "impact_rig_studies.cli.drive_sine:run_hold", "step the frequency at a controlled amplitude",
+        tests,
+        "hold",
+        "impact_rig_studies.cli.drive_sine:run_hold",
+        "step the frequency at a controlled amplitude",
         [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "what", choices=[*Hold],
+        "what",
+        choices=[*Hold],
         help="quantity whose amplitude is controlled: coil current, or motion of the inferior or superior base",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "target", metavar="PEAK", help="amplitude to hold, with its unit, e.g. 60um, or 0.5A for the current"
     )
@@ -345,19 +404,25 @@ def _add_hold(tests: Commands) -> None:
     add_field(parser, attrs.fields(HoldPlan).tolerance, "X")
     current = attrs.fields(SweepPlan).current_a
     parser.add_argument(
-        "--current", type=Quantity.of(current), default=current.default, metavar="A",
+        "--current",
+        type=Quantity.of(current),
+        default=current.default,
+        metavar="A",
         help="peak amplitude of the drive with which the control starts: a current, or by drive.kind a displacement "
         "in m or a voltage in V (default: %(default)s)",
-    )  # fmt: skip
+    )
     _add_sine_options(parser, "hold")
 
 
 def _add_sweep(tests: Commands) -> None:
     """Register the test `impact-rig drive sweep` with its options."""
     parser = subcommand(
-        tests, "sweep", "impact_rig_studies.cli.drive_sine:run_sweep", "step the frequency at a constant current",
+        tests,
+        "sweep",
+        "impact_rig_studies.cli.drive_sine:run_sweep",
+        "step the frequency at a constant current",
         [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
-    )  # fmt: skip
+    )
     _add_points(parser)
     _add_current(parser)
     _add_sine_options(parser, "sweep")
@@ -366,9 +431,12 @@ def _add_sweep(tests: Commands) -> None:
 def _add_lock(tests: Commands) -> None:
     """Register the test `impact-rig drive lock` with its options."""
     parser = subcommand(
-        tests, "lock", "impact_rig_studies.cli.drive_sine:run_lock", "find a resonance, track it, and dwell there",
+        tests,
+        "lock",
+        "impact_rig_studies.cli.drive_sine:run_lock",
+        "find a resonance, track it, and dwell there",
         [("drive lock --gap none", "the resonance without a sphere")],
-    )  # fmt: skip
+    )
     add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
     _add_search(parser)
     _add_current(parser)
@@ -378,10 +446,12 @@ def _add_lock(tests: Commands) -> None:
 def _add_backbone(tests: Commands) -> None:
     """Register the test `impact-rig drive backbone` with its options."""
     parser = subcommand(
-        tests, "backbone", "impact_rig_studies.cli.drive_sine:run_backbone",
+        tests,
+        "backbone",
+        "impact_rig_studies.cli.drive_sine:run_backbone",
         "find the resonance at each of several currents, in ascending and then in descending order",
         [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--currents", type=float, nargs="+", required=True, metavar="A", help="peak coil currents in ascending order"
     )
@@ -414,7 +484,9 @@ def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
 def add_campaign(commands: Commands) -> None:
     """Register the command `impact-rig campaign` with its options."""
     parser = subcommand(
-        commands, "campaign", "impact_rig_studies.cli.campaign:run_campaign",
+        commands,
+        "campaign",
+        "impact_rig_studies.cli.campaign:run_campaign",
         "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
@@ -422,7 +494,7 @@ def add_campaign(commands: Commands) -> None:
             ("campaign my.yaml --through ros --record --output runs/mine", "with ROS nodes, and recordings"),
         ],
         "The last line is the directory of the results; `impact-rig report` makes a page of it.",
-    )  # fmt: skip
+    )
     parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == ROS)
     _add_tasks(parser, "campaign", "campaign", "config/paper.yaml", ", ros (rig and analysis as ROS nodes)")
     parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to measure (default: all)")
@@ -439,25 +511,33 @@ def add_campaign(commands: Commands) -> None:
 def add_report(commands: Commands) -> None:
     """Register the command `impact-rig report` with its options."""
     parser = subcommand(
-        commands, "report", "impact_rig_studies.cli.campaign:run_report",
+        commands,
+        "report",
+        "impact_rig_studies.cli.campaign:run_report",
         "write the report of a campaign or a run: one HTML page, figures as PNG, SVG and PDF, numbers as JSON",
         [
             ("report runs/campaign_paper", "writes runs/campaign_paper/report.html"),
             ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
             ("report runs/campaign_paper --margins runs/campaign_margins", "with sensitivities to constants"),
         ],
-    )  # fmt: skip
+    )
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
     add_output(parser, "directory for report.html and report.json (default: DIR)")
     parser.add_argument(
-        "--margins", type=Path, metavar="DIR",
+        "--margins",
+        type=Path,
+        metavar="DIR",
         help="campaign with varied constants (config/campaigns/margins.yaml), for the sensitivity of the "
         "paper's statements",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--branches", type=Path, metavar="DIR", nargs="+", default=(),
+        "--branches",
+        type=Path,
+        metavar="DIR",
+        nargs="+",
+        default=(),
         help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
-    )  # fmt: skip
+    )
     add_figures(parser, "directory for the figures (default: `figures` next to the page)")
     add_recorded_rig(parser)
 
@@ -465,33 +545,38 @@ def add_report(commands: Commands) -> None:
 def add_map(commands: Commands) -> None:
     """Register the command `impact-rig map` with its options."""
     parser = subcommand(
-        commands, "map", "impact_rig_studies.cli.mechanics:run_map",
+        commands,
+        "map",
+        "impact_rig_studies.cli.mechanics:run_map",
         "compute displacement transmissibility DT and regimes of the model over two or three parameters; run again to "
         "resume",
         [
             ("map config/maps/gap_frequency.yaml", "on all cores; writes a table and draws the map"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
-    )  # fmt: skip
+    )
     _add_tasks(parser, "map", "map", "config/maps/gap_frequency.yaml")
     _add_drawings(parser)
     parser.add_argument(
-        "--exponent", action="store_true",
+        "--exponent",
+        action="store_true",
         help="compute the largest Lyapunov exponent of every motion that is not periodic",
-    )  # fmt: skip
+    )
 
 
 def add_dynamics(commands: Commands) -> None:
     """Register the command `impact-rig dynamics` with its options."""
     parser = subcommand(
-        commands, "dynamics", "impact_rig_studies.cli.mechanics:run_dynamics",
+        commands,
+        "dynamics",
+        "impact_rig_studies.cli.mechanics:run_dynamics",
         "compute Poincaré sections, bifurcations, basins, orbits, branches or Lyapunov exponents of the model",
         [
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
             ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
         ],
         more="All studies use the mechanics without instruments. Run the command again to resume it.",
-    )  # fmt: skip
+    )
     parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
     _add_tasks(parser, "dynamics", "studies", "config/dynamics/nominal.yaml")
     _add_drawings(parser)
@@ -508,13 +593,19 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         other_way: way of measuring in addition to `process` and `dask`, for the help.
     """
     parser.add_argument(
-        "file", nargs="?", type=Path, metavar="FILE",
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE",
         help=f"file that defines the {what} (required), e.g. {example}; it may also follow --through WAY",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--through", nargs="+", default=[PROCESS], metavar="WAY",
+        "--through",
+        nargs="+",
+        default=[PROCESS],
+        metavar="WAY",
         help=f"way of measuring: process (all cores; default){other_way} or dask ADDRESS (a Dask cluster)",
-    )  # fmt: skip
+    )
     add_output(parser, f"directory of the results; those already in it are kept (default: runs/{command}_<file>)")
     parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
     add_json(parser)
@@ -529,35 +620,49 @@ def _add_drawings(parser: argparse.ArgumentParser) -> None:
 def add_identify(commands: Commands) -> None:
     """Register the command `impact-rig identify` with its options."""
     parser = subcommand(
-        commands, "identify", "impact_rig_studies.cli.identify:run_identify",
+        commands,
+        "identify",
+        "impact_rig_studies.cli.identify:run_identify",
         "determine constants of the rig from measured runs",
         [
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
             ("identify --paper", "what the paper's own numbers determine"),
         ],
-    )  # fmt: skip
+    )
     add_json(parser)
     parser.add_argument(
-        "directory", nargs="?", type=Path, metavar="DIR",
+        "directory",
+        nargs="?",
+        type=Path,
+        metavar="DIR",
         help="directory of a campaign, which receives the results (required without --paper)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--decay", type=Path, metavar="RUN",
+        "--decay",
+        type=Path,
+        metavar="RUN",
         help="recorded free decay after a pluck (default: pluck the simulated rig; none for an imported campaign)",
-    )  # fmt: skip
+    )
     add_recorded_rig(parser)
     parser.add_argument(
         "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
     )
     parser.add_argument(
-        "--without", nargs="+", choices=("decay", "sine", "reductions"), default=(), metavar="DATA",
+        "--without",
+        nargs="+",
+        choices=("decay", "sine", "reductions"),
+        default=(),
+        metavar="DATA",
         help="data not to use: decay (free decay), sine (displacement transmissibility DT without sphere), "
         "reductions (DT with it)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--e-uncertainty", type=float, default=U_RESTITUTION, metavar="U",
+        "--e-uncertainty",
+        type=float,
+        default=U_RESTITUTION,
+        metavar="U",
         help="standard uncertainty of the configured restitution e, 0 if e is exact (default: %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--paper", action="store_true", help="fit constants to the reductions in the paper instead of to a campaign"
     )
@@ -569,10 +674,12 @@ HEIGHT_UNCERTAINTY = Quantity(FieldInfo("Standard uncertainty of a height.", "m"
 
 def _add_drop(instead: argparse._MutuallyExclusiveGroup) -> None:
     instead.add_argument(
-        "--drop", type=HEIGHT_UNCERTAINTY, metavar="LENGTH",
+        "--drop",
+        type=HEIGHT_UNCERTAINTY,
+        metavar="LENGTH",
         help="coefficient of restitution from drop tests noted as remarks like `drop h0_m=0.2 h1_m=0.0245`; LENGTH is "
         "the standard uncertainty of each height, e.g. 0.5mm",
-    )  # fmt: skip
+    )
 
 
 DROP = Analysis("drop", _add_drop, "impact_rig_studies.cli.drops:run_drop")

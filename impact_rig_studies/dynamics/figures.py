@@ -33,9 +33,12 @@ if TYPE_CHECKING:
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
 """Matplotlib marker for each kind of change along a branch of orbits, and for the end of a branch (`lost`)."""
 LABELS = {
-    FREQUENCY: ("frequency (Hz)", 1.0), CURRENT: ("current (A)", 1.0), GAP: ("gap (mm)", 1e3),
-    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3), SPEED: ("its speed (m/s)", 1.0),
-}  # fmt: skip
+    FREQUENCY: ("frequency (Hz)", 1.0),
+    CURRENT: ("current (A)", 1.0),
+    GAP: ("gap (mm)", 1e3),
+    POSITION: ("sphere at the beginning, from the middle (mm)", 1e3),
+    SPEED: ("its speed (m/s)", 1.0),
+}
 DOTS_IN_LEGEND = 3.0  # size of a dot in the legend relative to that in the drawing
 _SPHERE = "sphere at the section (mm)"
 
@@ -103,9 +106,13 @@ def _bifurcation(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
         across = factor * column(plan, rows, plan.columns[0])
         for pane, quantity, scale in zip(panes, ("x_2_m", "dt"), (1e3, 1.0), strict=True):
             pane.plot(
-                across, scale * column(plan, rows, quantity), ".", color=colour, label=name if first else None,
+                across,
+                scale * column(plan, rows, quantity),
+                ".",
+                color=colour,
+                label=name if first else None,
                 markersize=max(1.2, 3.0 - 1.4 * known[name]),  # lower markers show around upper ones
-            )  # fmt: skip
+            )
     panes[0].set(ylabel=_SPHERE)
     panes[1].set(xlabel=label, ylabel="DT (-)")
 
@@ -150,9 +157,12 @@ def _orbit(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
         if plans.without_results([(task, rows)]):
             continue
         panes[0].plot(
-            column(plan, rows, "multiplier_real"), column(plan, rows, "multiplier_imag"), "o", color=SERIES[i],
+            column(plan, rows, "multiplier_real"),
+            column(plan, rows, "multiplier_imag"),
+            "o",
+            color=SERIES[i],
             label=task.name,
-        )  # fmt: skip
+        )
     panes[0].set(xlabel="largest multiplier, real part", ylabel="imaginary part")
     panes[0].set_aspect("equal", adjustable="datalim")
 

@@ -340,9 +340,10 @@ def _bifurcation_parts(given: Mapping[str, object], place: Place, _settings: Set
     over, values = _over(BIFURCATION, given, place)
     direction = axes.word("bifurcation.direction", given.get("direction", BOTH), (RESET, UP, DOWN, BOTH))
     held = {
-        "over": over, "cycles": axes.whole("bifurcation.cycles", given.get("cycles", 48), 8, 10_000),
+        "over": over,
+        "cycles": axes.whole("bifurcation.cycles", given.get("cycles", 48), 8, 10_000),
         "turn": axes.number("bifurcation.turn", given.get("turn", 0.0), -1.0, 1.0) % 1.0,
-    }  # fmt: skip
+    }
     parts: list[tuple[str, dict[str, object]]] = []
     for start in _starts(BIFURCATION, given):
         ways = {UP: [values], DOWN: [values[::-1]], BOTH: [values, values[::-1]]}
@@ -391,9 +392,10 @@ def _exponent_parts(given: Mapping[str, object], place: Place, _settings: Settin
     axes.check_keys(EXPONENT, given, ("over", "values", "starts", "cycles", "windows"))
     over, values = _over(EXPONENT, {"over": FREQUENCY, "values": place.frequency_hz, **given}, place)
     held = {
-        "over": over, "cycles": axes.whole("exponent.cycles", given.get("cycles", _CYCLES), 10, 100_000),
+        "over": over,
+        "cycles": axes.whole("exponent.cycles", given.get("cycles", _CYCLES), 10, 100_000),
         "windows": axes.whole("exponent.windows", given.get("windows", _WINDOWS), 4, 1000),
-    }  # fmt: skip
+    }
     return over, [
         (f"{over} {value:g}, {named(start)}", {**held, "value": value, "start": start})
         for start in _starts(EXPONENT, given)
@@ -402,9 +404,13 @@ def _exponent_parts(given: Mapping[str, object], place: Place, _settings: Settin
 
 
 _PARTS_OF: Mapping[str, Callable[[Mapping[str, object], Place, Settings], Parts]] = {
-    SECTION: _section_parts, BIFURCATION: _bifurcation_parts, BASIN: _basin_parts, ORBIT: _orbit_parts,
-    CONTINUE: _continue_parts, EXPONENT: _exponent_parts,
-}  # fmt: skip
+    SECTION: _section_parts,
+    BIFURCATION: _bifurcation_parts,
+    BASIN: _basin_parts,
+    ORBIT: _orbit_parts,
+    CONTINUE: _continue_parts,
+    EXPONENT: _exponent_parts,
+}
 
 
 def _parameter(kind: str, given: Mapping[str, object], place: Place) -> str:
@@ -717,6 +723,10 @@ def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float
 
 
 _RUNNERS: Mapping[str, Callable[..., list[Row]]] = {
-    SECTION: _section, BIFURCATION: _bifurcation, BASIN: _basin, ORBIT: _orbit, CONTINUE: _continue,
+    SECTION: _section,
+    BIFURCATION: _bifurcation,
+    BASIN: _basin,
+    ORBIT: _orbit,
+    CONTINUE: _continue,
     EXPONENT: _exponent,
-}  # fmt: skip
+}

@@ -202,7 +202,11 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         # other lines contain only leakage through the edges
         inside = (lines >= excitation.low_hz) & (lines <= excitation.high_hz)
         yield attrs.evolve(
-            found, h1=found.h1 * lag, h2=found.h2 * lag, hv=found.hv * lag, u_relative=np.hypot(found.u_relative, gain),
+            found,
+            h1=found.h1 * lag,
+            h2=found.h2 * lag,
+            hv=found.hv * lag,
+            u_relative=np.hypot(found.u_relative, gain),
             excited=found.excited[inside] if inside.any() else found.excited,
-        )  # fmt: skip
+        )
     hardware.output.stop()

@@ -76,9 +76,10 @@ def guess(source: ImportedSignals) -> Mapping:
     if len(DT_CHANNELS & chosen.keys()) == 1:  # the other may have times of its own, which the conversion then names
         (missing,) = DT_CHANNELS - chosen.keys()
         free = {
-            name: one for name, one in source.signals.items()
+            name: one
+            for name, one in source.signals.items()
             if one.kind is SignalKind.TIME_RESPONSE and name not in {used.column for used in chosen.values()}
-        }  # fmt: skip
+        }
         for hint in (missing, *HINTS[missing]):
             matching = [name for name, one in free.items() if hint in _words(name) and _fits(one, missing)]
             if len(matching) == 1:

@@ -41,10 +41,11 @@ SCPI_NAN, SCPI_INFINITY = 9.91e37, 9.9e37  # of instruments (SCPI 1999.0, sectio
 _GROUPED = {
     decimal: re.compile(
         rf"[+-]?[1-9]\d{{0,2}}(?P<sign>[ '\u00a0\u202f\u2019{other}])\d{{3}}(?:(?P=sign)\d{{3}})*"
-        rf"(?P<rest>[{decimal}]\d*)?", re.ASCII,
+        rf"(?P<rest>[{decimal}]\d*)?",
+        re.ASCII,
     )
     for decimal, other in ((".", ","), (",", "."))
-}  # fmt: skip
+}
 """Pattern of numbers whose digits are in groups of three, such as `1,234.5` or `1 234,5`, by decimal sign."""
 _UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}", re.ASCII)  # 1,234 or 1.234: of either decimal sign
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
@@ -161,11 +162,13 @@ _TIMES = (
     re.compile(_DAYS + r"(?P<minute>\d{1,3}):(?P<second>\d{2})[.,](?P<fraction>\d{1,9})", re.ASCII),
     re.compile(
         r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)[T_ -](?P<hour>\d\d)(?P<minute>\d\d)(?P<second>\d\d)"
-        + _FRACTION + _END, re.ASCII,
+        + _FRACTION
+        + _END,
+        re.ASCII,
     ),
     re.compile(r"(?P<day>\d{1,2})[-./ ]{1,2}" + _NAME + r"[-./, ]{1,2}(?P<year>\d{4}|\d{2})" + _LATER, re.ASCII),
     re.compile(_NAME + r"[. ]{1,2}(?P<day>\d{1,2}),? (?P<year>\d{4})" + _LATER, re.ASCII),
-)  # fmt: skip
+)
 """Patterns of the notations of dates, times of day, durations, and dates with a time of day."""
 _DAY_NS = 86_400 * NS_PER_S
 _EPOCH_DAY = dt.date(1970, 1, 1).toordinal()

@@ -159,9 +159,12 @@ def signals_of(
             own, full = (plain, heading) if len(rows) == 1 else (f"{plain}_{number}", f"{heading}_{number}")
             own = names.unique(own if own not in signals else full)
             signals[own] = Signal(
-                np.ascontiguousarray(row, np.float64), column_units.get(heading, "") or unit, abscissa, kind,
+                np.ascontiguousarray(row, np.float64),
+                column_units.get(heading, "") or unit,
+                abscissa,
+                kind,
                 f"column {place}" if len(rows) == 1 else f"{heading}, row {number}",
-            )  # fmt: skip
+            )
     return ImportedSignals(path, file_format, signals, axis.start_ns, texts, omitted, remarks)
 
 

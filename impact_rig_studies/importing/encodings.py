@@ -18,9 +18,12 @@ from __future__ import annotations
 import re
 
 MARKS = (
-    (b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe\0\0", "utf-32-le"), (b"\0\0\xfe\xff", "utf-32-be"),
-    (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"),
-)  # fmt: skip
+    (b"\xef\xbb\xbf", "utf-8"),
+    (b"\xff\xfe\0\0", "utf-32-le"),
+    (b"\0\0\xfe\xff", "utf-32-be"),
+    (b"\xff\xfe", "utf-16-le"),
+    (b"\xfe\xff", "utf-16-be"),
+)
 WESTERN = "cp1252"  # code page of most programs that still write one; its five unused bytes count as Latin-1
 _LINE_END = re.compile(r"\r\n|\r|\n")
 SAMPLE = 4096

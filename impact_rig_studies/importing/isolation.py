@@ -170,10 +170,14 @@ def _send(found: ImportedSignals, out: BinaryIO) -> None:
         about = [x.kind.value, x.unit, x.start, x.step, place(x.values), x.resolution, x.note]
         signals.append([name, place(one.values), one.unit, about, one.kind.value, one.origin])
     reply = {
-        "format": found.format, "signals": signals, "lengths": [len(one) for one in arrays], "start_ns": found.start_ns,
-        "texts": {name: list(words) for name, words in found.texts.items()}, "left_out": dict(found.left_out),
+        "format": found.format,
+        "signals": signals,
+        "lengths": [len(one) for one in arrays],
+        "start_ns": found.start_ns,
+        "texts": {name: list(words) for name, words in found.texts.items()},
+        "left_out": dict(found.left_out),
         "remarks": list(found.remarks),
-    }  # fmt: skip
+    }
     out.write(json.dumps(reply).encode() + b"\n")
     for values in arrays:
         out.write(values.data)

@@ -42,9 +42,12 @@ class _Size(NamedTuple):
 _METRE, _SECOND, _AMPERE, _VOLT = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
 _GRAVITY = _Size(STANDARD_GRAVITY, (1, -2, 0, 0))
 _BASE = {
-    "m": _Size(1.0, _METRE), "s": _Size(1.0, _SECOND), "A": _Size(1.0, _AMPERE), "V": _Size(1.0, _VOLT),
+    "m": _Size(1.0, _METRE),
+    "s": _Size(1.0, _SECOND),
+    "A": _Size(1.0, _AMPERE),
+    "V": _Size(1.0, _VOLT),
     "Hz": _Size(1.0, (0, -1, 0, 0)),
-}  # fmt: skip
+}
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 1e-1, "k": 1e3, "M": 1e6}
 _INCH = 0.0254
 _WORDS = {
@@ -95,11 +98,12 @@ _QUANTITIES = {
     0, 0),
 }  # fmt: skip
 _DOUBTFUL = {
-    "G": "standard gravity (9.80665 m/s^2), not gauss", "Gs": "standard gravity (9.80665 m/s^2), not gauss",
+    "G": "standard gravity (9.80665 m/s^2), not gauss",
+    "Gs": "standard gravity (9.80665 m/s^2), not gauss",
     "gs": "standard gravity (9.80665 m/s^2), not gram seconds",
     "mG": "milli-gravity (0.00980665 m/s^2), not milligauss",
     "mg": "milli-gravity (0.00980665 m/s^2), not milligram",
-}  # fmt: skip
+}
 _OPERATORS = str.maketrans({"·": "*", "⋅": "*", "×": "*", "µ": "u", "μ": "u", "\u2215": "/", "\u2212": "-"})
 _SUPERSCRIPT = re.compile("[⁻⁰¹²³⁴]+")
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴", "-01234")

@@ -35,9 +35,13 @@ class Direction(enum.StrEnum):
 def current_field() -> Any:
     """Return a new attrs field `current_a` for a plan: the peak current that a sweep or phase lock commands."""
     return quantity(
-        0.52, "A", "Peak amplitude of the drive: a current, or by drive.kind a displacement in m or a voltage in V.",
-        Origin.IDENTIFIED, above=0, at_most=1000,
-    )  # fmt: skip
+        0.52,
+        "A",
+        "Peak amplitude of the drive: a current, or by drive.kind a displacement in m or a voltage in V.",
+        Origin.IDENTIFIED,
+        above=0,
+        at_most=1000,
+    )
 
 
 def superior_limit_field() -> Any:
@@ -65,24 +69,34 @@ class SweepPlan:
     )
     current_a: float = current_field()
     direction: str = choice(
-        "up", tuple(Direction),
+        "up",
+        tuple(Direction),
         "Order of the frequencies: ascending, descending, or both one after the other without a reset of the rig.",
-    )  # fmt: skip
+    )
     measurements_per_point: int = integer(
         1, "-", "Number of accepted measurements at each point.", at_least=1, at_most=1000
     )
     dwell_limit_s: float = quantity(
-        150.0, "s", "Rig time after a command within which its point must be measured; otherwise the sweep is aborted.",
-        above=0, at_most=1e9,
-    )  # fmt: skip
+        150.0,
+        "s",
+        "Rig time after a command within which its point must be measured; otherwise the sweep is aborted.",
+        above=0,
+        at_most=1e9,
+    )
     accept_limit_s: float = quantity(
-        5.0, "s", "Rig time after which the sweep is aborted if the rig has not accepted a command.", above=0,
+        5.0,
+        "s",
+        "Rig time after which the sweep is aborted if the rig has not accepted a command.",
+        above=0,
         at_most=1e5,
-    )  # fmt: skip
+    )
     retries: int = integer(
-        2, "-", "Number of failed measurements tolerated at each point; one more skips the point or aborts the sweep.",
-        at_least=0, at_most=1000,
-    )  # fmt: skip
+        2,
+        "-",
+        "Number of failed measurements tolerated at each point; one more skips the point or aborts the sweep.",
+        at_least=0,
+        at_most=1000,
+    )
     skip_over_range: bool = switch(True, "Skip a point where a sensor is over range, instead of aborting the sweep.")
     keep_unsettled: bool = switch(
         True,
@@ -118,20 +132,29 @@ class HoldPlan:
 
     hold: str = choice("base", tuple(Hold), "Quantity whose measured amplitude is controlled by adjusting the current.")
     target: float = quantity(
-        60e-6, "m or A",
-        "Peak amplitude to which the controlled quantity is adjusted; ignored if hold is command or phase.", above=0,
+        60e-6,
+        "m or A",
+        "Peak amplitude to which the controlled quantity is adjusted; ignored if hold is command or phase.",
+        above=0,
         at_most=1000,
-    )  # fmt: skip
+    )
     tolerance: float = quantity(
-        2e-3, "-", "Relative error up to which the amplitude counts as equal to the target.", above=0, at_most=0.5,
-    )  # fmt: skip
+        2e-3,
+        "-",
+        "Relative error up to which the amplitude counts as equal to the target.",
+        above=0,
+        at_most=0.5,
+    )
     corrections: int = integer(
         8, "-", "Maximum number of adjustments of the current at each point.", at_least=1, at_most=1000
     )
     current_limit_a: float = quantity(
-        15.0, "A", "Largest peak current; the sweep is aborted if the target amplitude needs more.", above=0,
+        15.0,
+        "A",
+        "Largest peak current; the sweep is aborted if the target amplitude needs more.",
+        above=0,
         at_most=1000,
-    )  # fmt: skip
+    )
     superior_limit_m: float = superior_limit_field()
 
 
@@ -151,13 +174,17 @@ class LockSettings:
     """Settings of a phase lock that are also parameters of the stepped-sine node."""
 
     reference: str = choice(
-        "base", tuple(Reference),
+        "base",
+        tuple(Reference),
         "Motion (of the inferior base) or current relative to which the phase of the superior base is measured.",
-    )  # fmt: skip
+    )
     within_deg: float = quantity(
-        2.0, "deg", "Deviation from -90 degrees, of the phase averaged over a second, up to which the phase is locked.",
-        above=0, at_most=90,
-    )  # fmt: skip
+        2.0,
+        "deg",
+        "Deviation from -90 degrees, of the phase averaged over a second, up to which the phase is locked.",
+        above=0,
+        at_most=90,
+    )
     dwell_s: float = quantity(30.0, "s", "Rig time from the first lock to the end of the run.", above=0, at_most=1e9)
 
 

@@ -215,13 +215,16 @@ def _configuration(done: Finished, content: Content) -> Iterator[Markup]:
     varied = {name for study in done.campaign.studies for name in study.vary} | {"barriers.gap_m", "sphere.present"}
     rows: list[list[str | Cell]] = [
         [
-            name, value_cell(values[name]), about.unit,
+            name,
+            value_cell(values[name]),
+            about.unit,
             "this campaign" if values[name] != default else about.origin.value,
-            "yes" if name in varied else "", about.doc,
+            "yes" if name in varied else "",
+            about.doc,
         ]
         for name, about, default in fields()
         if not name.startswith(("time.", "step.", "pluck.", "output."))
-    ]  # fmt: skip
+    ]
     yield paragraph(
         "Origin: paper = printed there, identified = chosen so that its published statements hold, assumed = plausible "
         "catalogue value or a choice of this project, this campaign = changed in its file."

@@ -166,17 +166,19 @@ def _instruments(info: NDArray[np.void]) -> list[list[str | Cell]]:
     for row in info:
         unit = row["unit"].decode()
         small, factor = (("µm", 1e6), ("mm", 1e3)) if unit == "m" else ((unit, 1.0), (unit, 1.0))
-        rows.append([
-            row["name"].decode(),
-            _range(float(row["range_low"]) * factor[1], float(row["range_high"]) * factor[1], factor[0]),
-            _with_unit(float(row["sensitivity"]) / factor[1], f"V/{factor[0]}"),
-            number(100.0 * float(row["sensitivity_uncertainty"]), ".2g"),
-            _with_unit(float(row["noise"]) * small[1], small[0]),
-            _with_unit(float(row["resolution"]) * small[1], small[0]),
-            _with_unit(float(row["bandwidth"]), "Hz") if row["bandwidth"] else Cell("unknown", None),
-            _with_unit(1e3 * float(row["lag"]), "ms"),
-            _with_unit(1e6 * float(row["skew"]), "µs"),
-        ])  # fmt: skip
+        rows.append(
+            [
+                row["name"].decode(),
+                _range(float(row["range_low"]) * factor[1], float(row["range_high"]) * factor[1], factor[0]),
+                _with_unit(float(row["sensitivity"]) / factor[1], f"V/{factor[0]}"),
+                number(100.0 * float(row["sensitivity_uncertainty"]), ".2g"),
+                _with_unit(float(row["noise"]) * small[1], small[0]),
+                _with_unit(float(row["resolution"]) * small[1], small[0]),
+                _with_unit(float(row["bandwidth"]), "Hz") if row["bandwidth"] else Cell("unknown", None),
+                _with_unit(1e3 * float(row["lag"]), "ms"),
+                _with_unit(1e6 * float(row["skew"]), "µs"),
+            ]
+        )
     return rows
 
 
@@ -264,17 +266,22 @@ def _draw_instruments(axis: Axes) -> None:
     axis.plot([71.0, 82.0], [13.5, 13.5], color=MEASURED, linewidth=1.0, linestyle=":")
     axis.plot([10.5, 10.5], [22.0, 27.0], color=MEASURED, linewidth=1.0)
     for x, y, text, side in (
-        (20.0, 50.0, "1 accelero-\nmeter", "right"), (93.0, 41.8, "2 laser", "center"),
-        (87.0, 20.5, "3 base sensor", "center"), (10.5, 29.5, "4 coil current", "center"),
-    ):  # fmt: skip
+        (20.0, 50.0, "1 accelero-\nmeter", "right"),
+        (93.0, 41.8, "2 laser", "center"),
+        (87.0, 20.5, "3 base sensor", "center"),
+        (10.5, 29.5, "4 coil current", "center"),
+    ):
         axis.text(x, y, text, ha=side, va="center", color=MEASURED, fontsize=8.5)
 
 
 def _symbols(axis: Axes) -> None:
     places: Sequence[tuple[float, float, str]] = (
-        (10.5, 2.0, "$K_f,\\ k_f,\\ c_f$"), (49.0, 2.0, "$m_a + m_b$"), (49.0, 32.0, "$k_1,\\ c_1$"),
-        (75.5, 57.5, "$m_1$"), (49.0, 66.5, "$m$"),
-    )  # fmt: skip
+        (10.5, 2.0, "$K_f,\\ k_f,\\ c_f$"),
+        (49.0, 2.0, "$m_a + m_b$"),
+        (49.0, 32.0, "$k_1,\\ c_1$"),
+        (75.5, 57.5, "$m_1$"),
+        (49.0, 66.5, "$m$"),
+    )
     for x, y, text in places:
         axis.text(x, y, text, ha="center", va="center", fontsize=SYMBOL)
     for start, text in (((71.0, 26.0), "$x_b$"), ((71.0, 64.5), "$x_1$"), ((49.0, 71.0), "$x_2$")):

@@ -279,9 +279,10 @@ def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     axis.set(xlabel="frequency (Hz)", ylabel="difference (%)", title="Without sphere, against theory")
     caption = "DT without the sphere against the closed form of the configured rig: errors of instruments and analysis."
     columns = {
-        "frequency_hz": frequency.tolist(), "difference_percent": errors.tolist(),
+        "frequency_hz": frequency.tolist(),
+        "difference_percent": errors.tolist(),
         "expanded_uncertainty_percent": bars.tolist(),
-    }  # fmt: skip
+    }
     yield Drawn("residuals_without_sphere", figure, caption, [Line("no sphere", columns)])
 
 

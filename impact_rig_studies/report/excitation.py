@@ -38,7 +38,7 @@ from impact_rig.drawing import (
     legend_below,
     new_axes,
     style,
-)  # fmt: skip
+)
 from impact_rig_studies.excitation.history import Played, Replicated
 from impact_rig_studies.excitation.random import Reached
 from impact_rig_studies.excitation.shock import Shocked
@@ -144,8 +144,10 @@ def _random(found: Reached, unit: str) -> ResultSummary:
     ]
     return ResultSummary(
         f"loop {len(found.loops)}: rms error {found.loops[-1]:.2f} dB, drive {found.drive_rms:.3g} A rms",
-        figures, sentences, lambda: _draw_random(found, unit),
-    )  # fmt: skip
+        figures,
+        sentences,
+        lambda: _draw_random(found, unit),
+    )
 
 
 def _draw_random(found: Reached, unit: str) -> list[Drawn]:
@@ -167,8 +169,12 @@ def _draw_random(found: Reached, unit: str) -> list[Drawn]:
         "frequency (Hz)": f, "asked": found.asked, "reached": found.reached, "error (dB)": found.error_db,
         "coherence": found.coherence, "not linear": found.distortion, "noise": found.noise,
     }  # fmt: skip
-    one = Drawn("random", figure, "Requested and reached density, its error, and its coherence with the drive.",
-                [Line("random", columns)])  # fmt: skip
+    one = Drawn(
+        "random",
+        figure,
+        "Requested and reached density, its error, and its coherence with the drive.",
+        [Line("random", columns)],
+    )
     return [one, _learning(found.loops, "rms error (dB)", "loop")]
 
 
@@ -198,9 +204,11 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
     ]
     last = ("repetition", found.repeated) if found.repeated else (f"trial {len(found.errors)}", found.errors[-1])
     return ResultSummary(
-        f"{last[0]}: error {100 * last[1]:.2f} %", figures, sentences,
+        f"{last[0]}: error {100 * last[1]:.2f} %",
+        figures,
+        sentences,
         lambda: [_history(found, unit), _learning([100 * one for one in found.errors], "error (%)", "trial")],
-    )  # fmt: skip
+    )
 
 
 def _repetition(found: Replicated) -> str:
@@ -289,11 +297,14 @@ def _draw_shock(found: Shocked) -> Drawn:
 def _played(found: Played, _unit: str) -> ResultSummary:
     done = len(found.asked) / found.rate_hz
     figures = {
-        "seconds": done, "whole_s": found.whole / found.rate_hz, "current_error": found.error,
-        "clipped_samples": found.clipped, "peak_asked": float(np.abs(found.asked).max()),
+        "seconds": done,
+        "whole_s": found.whole / found.rate_hz,
+        "current_error": found.error,
+        "clipped_samples": found.clipped,
+        "peak_asked": float(np.abs(found.asked).max()),
         "kurtosis": {name: found.kurtosis(name) for name in ("current", "base", "laser")},
         "rms": {name: float(found.rows[name].std()) for name in ("current", "base", "laser", "accelerometer")},
-    }  # fmt: skip
+    }
     sentences = [
         (
             f"{done:.2f} of {found.whole / found.rate_hz:.2f} s played. The current differs from the requested one by "
@@ -375,5 +386,9 @@ def _draw_frf(found: Frf, unit: str) -> Drawn:
 
 
 _TELLERS: Mapping[type, Callable[[Any, str], ResultSummary]] = {
-    Reached: _random, Replicated: _replicated, Shocked: _shocked, Played: _played, Frf: _frf,
-}  # fmt: skip
+    Reached: _random,
+    Replicated: _replicated,
+    Shocked: _shocked,
+    Played: _played,
+    Frf: _frf,
+}

@@ -53,11 +53,15 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
     rows: list[list[str | Cell]] = [["none", uncertain(reductions.dt_no_sphere, u[NO_SPHERE]), "", "", ""]]
     for gap in sorted(ours):
         difference = round(errors[gap], 1) + 0.0
-        rows.append([
-            number(gap * 1e3, "g"), uncertain(reductions.dt[gap], u[gap]),
-            number(REDUCTION_PERCENT[gap], ".1f"), uncertain(ours[gap], spread[gap]),
-            Cell(f"{difference:+.1f}", errors[gap]),
-        ])  # fmt: skip
+        rows.append(
+            [
+                number(gap * 1e3, "g"),
+                uncertain(reductions.dt[gap], u[gap]),
+                number(REDUCTION_PERCENT[gap], ".1f"),
+                uncertain(ours[gap], spread[gap]),
+                Cell(f"{difference:+.1f}", errors[gap]),
+            ]
+        )
     headings = ["gap (mm)", f"DT at {FREQUENCY_HZ:g} Hz", "paper (%)", "ours (%)", "difference"]
     yield content.table("reductions", headings, rows, range(5))
     largest = content.fact("max_abs_error_points", reductions.max_abs_error(), ".2f")
@@ -77,11 +81,13 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
     at_hz = max(counts, key=lambda frequency: (counts.count(frequency), -abs(frequency - FREQUENCY_HZ)))
     rows: list[list[str | Cell]] = [
         [
-            number(gap * 1e3, "g"), uncertain(100.0 * one.added_mass, 100.0 * one.u_added_mass),
+            number(gap * 1e3, "g"),
+            uncertain(100.0 * one.added_mass, 100.0 * one.u_added_mass),
             uncertain(100.0 * one.loss_factor, 100.0 * one.u_loss_factor),
         ]
-        for gap, own in found.items() if (one := own.get(at_hz)) is not None
-    ]  # fmt: skip
+        for gap, own in found.items()
+        if (one := own.get(at_hz)) is not None
+    ]
     headings = ["gap (mm)", f"added mass at {at_hz:g} Hz (% of m_1)", "loss factor (%)"]
     yield content.table("damper", headings, rows, range(3))
 

@@ -34,10 +34,13 @@ if TYPE_CHECKING:
 
 QUIET, TWO, OTHER, MODULATED, CHAOTIC, NONE = range(6)
 REGIMES = {
-    QUIET: ("no impacts", "#d9dde3"), TWO: ("two impacts per cycle", "#8ec5ea"),
-    OTHER: ("periodic otherwise", "#0072b2"), MODULATED: ("modulated", "#e08a00"),
-    CHAOTIC: ("chaotic or intermittent", "#1b1f24"), NONE: ("no result", "#ffffff"),
-}  # fmt: skip
+    QUIET: ("no impacts", "#d9dde3"),
+    TWO: ("two impacts per cycle", "#8ec5ea"),
+    OTHER: ("periodic otherwise", "#0072b2"),
+    MODULATED: ("modulated", "#e08a00"),
+    CHAOTIC: ("chaotic or intermittent", "#1b1f24"),
+    NONE: ("no result", "#ffffff"),
+}
 """Legend text and colour of each class; the colours differ in lightness, for readers with any colour vision."""
 PREDICTED = "#e5007d"  # colour of the predicted limits
 APART = 0.01  # relative difference of DT from which the two directions count as two answers

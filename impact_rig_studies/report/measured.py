@@ -83,13 +83,15 @@ def of_campaign(done: Finished) -> MeasuredData:
         title=done.campaign.title,
         kind="Report of an imported measurement: instruments, rates and labels are those given at the import.",
         about=[
-            ("Files", ", ".join(files)), ("Imported", cover.written(done)), *_about(rows, done.info),
+            ("Files", ", ".join(files)),
+            ("Imported", cover.written(done)),
+            *_about(rows, done.info),
             *_origins(done.directory / "runs"),
         ],
         rows=rows,
         info=done.info,
         failed=[(f"{point.label} at {point.frequency_hz:g} Hz", point.status) for point in done.failed()],
-    )  # fmt: skip
+    )
 
 
 def _origins(directory: Path) -> Iterator[tuple[str, str]]:
@@ -131,9 +133,12 @@ def of_run(path: Path, rig: str | None = None) -> MeasuredData:
         return MeasuredData(
             title=run.path.name,
             kind="Report of an imported run." if imported else "Report of a run of the virtual test rig.",
-            about=about, rows=rows, info=info, failed=[] if len(rows) else [("the whole run", last)],
+            about=about,
+            rows=rows,
+            info=info,
+            failed=[] if len(rows) else [("the whole run", last)],
             drawn=list(_motion(run, found)),
-        )  # fmt: skip
+        )
 
 
 def document(data: MeasuredData, content: Content, links: Markup) -> str:
@@ -158,10 +163,11 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
         ]
         found = [one for one in sections if one is not None]
         opening = [
-            title(data.title), paragraph(data.kind, "muted"),
+            title(data.title),
+            paragraph(data.kind, "muted"),
             cover_block([(what, content.fact(what.lower(), value)) for what, value in data.about]),
             tiles(_tiles(data, best, content)),
-        ]  # fmt: skip
+        ]
         return page(data.title, [*opening, contents(found), *found])
 
 
@@ -213,15 +219,18 @@ def _results(rows: NDArray[np.void], content: Content) -> Iterator[Markup]:
         yield content.figures([transmissibility(rows)], large=True)
     cells: list[list[str | Cell]] = [
         [
-            case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
+            case_of(float(row["gap"])),
+            number(float(row["frequency"]), ".6g"),
             uncertain(float(row["transmissibility"]), float(row["transmissibility_uncertainty"])),
             uncertain(math.degrees(row["phase"]), math.degrees(row["phase_uncertainty"])),
-            number(1e6 * float(row["base_amplitude"]), ".4g"), number(1e3 * float(row["laser_amplitude"]), ".4g"),
-            number(float(row["current_amplitude"]) or math.nan, ".4g"), number(float(row["impacts_per_cycle"]), ".3g"),
+            number(1e6 * float(row["base_amplitude"]), ".4g"),
+            number(1e3 * float(row["laser_amplitude"]), ".4g"),
+            number(float(row["current_amplitude"]) or math.nan, ".4g"),
+            number(float(row["impacts_per_cycle"]), ".3g"),
             row["regime"].decode(),
         ]
         for row in rows
-    ]  # fmt: skip
+    ]
     headings = [
         "case", "frequency (Hz)", "DT ± 2u", "phase ± 2u (°)", "base (µm)", "structure (mm)", "current (A)",
         "impacts per cycle", "regime",
@@ -240,11 +249,12 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
         own = rows[[case_of(float(gap)) == case for gap in rows["gap"]]]
         own = own[np.argsort(own["frequency"], kind="stable")]
         columns = {
-            "frequency_hz": own["frequency"], "transmissibility": own["transmissibility"],
+            "frequency_hz": own["frequency"],
+            "transmissibility": own["transmissibility"],
             "expanded_uncertainty": COVERAGE * own["transmissibility_uncertainty"],
             "phase_deg": np.degrees(own["phase"]),
             "expanded_phase_uncertainty": COVERAGE * np.degrees(own["phase_uncertainty"]),
-        }  # fmt: skip
+        }
         frequency, dt, u, phase, u_phase = columns.values()
         style: dict[str, Any] = {
             "color": SERIES[i % len(SERIES)],
@@ -273,10 +283,13 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
         if reference is None or not row["gap"] > NO_SPHERE:
             continue
         found = reduction(reference, row[None], calibration)
-        cells.append([
-            case_of(float(row["gap"])), number(float(row["frequency"]), ".6g"),
-            uncertain(found.percent, found.u_points),
-        ])  # fmt: skip
+        cells.append(
+            [
+                case_of(float(row["gap"])),
+                number(float(row["frequency"]), ".6g"),
+                uncertain(found.percent, found.u_points),
+            ]
+        )
     if cells:
         yield content.table("reductions", ["case", "frequency (Hz)", "reduction of DT ± 2u (%)"], cells, [1, 2])
 

@@ -60,9 +60,11 @@ class Section:
 def _parts() -> jinja2.Template:
     """Return the template file whose macros make the parts of a page."""
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, keep_trailing_newline=True,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
-    )  # fmt: skip
+    )
     environment.filters["lowered"] = _lowered
     return environment.get_template("parts.html")
 
@@ -156,11 +158,14 @@ def figures(drawn: Sequence[Drawn], *, large: bool = False) -> Markup:
     """
     shown = [
         _Figure(
-            one.identifier, one.name, one.caption, Markup(one.inline()),  # noqa: S704  # matplotlib escapes its texts
+            one.identifier,
+            one.name,
+            one.caption,
+            Markup(one.inline()),  # noqa: S704  # matplotlib escapes its texts
             f"data:text/csv;charset=utf-8,{quote(one.csv())}" if one.lines else "",
         )
         for one in drawn
-    ]  # fmt: skip
+    ]
     return _render("figures", shown, "figures large" if large else "figures") if shown else Markup()
 
 

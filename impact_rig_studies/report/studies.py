@@ -177,15 +177,18 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
             )
     task = plan.tasks[0]
     held = {
-        "frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m,
-    }  # fmt: skip
+        "frequency_hz": task.frequency_hz,
+        "current_a": task.current_a,
+        "gap_m": plan.base.barriers.gap_m,
+    }
     if plan.over not in held:
         raise ConfigError(f"branches over {plan.over} cannot be shown in a report, only over {', '.join(held)}")
     del held[plan.over]
     at = [
-        p for p in points
+        p
+        for p in points
         if p.reference and p.settled and p.gap_m != NO_SPHERE and all(getattr(p, n) == v for n, v in held.items())
-    ]  # fmt: skip
+    ]
     figure, (axis,) = new_axes(3.5)
     label, factor = figures.label_of(plan.over)
     numbers: list[Line] = []

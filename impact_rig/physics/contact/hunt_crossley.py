@@ -151,47 +151,73 @@ Hertz = _published(
 )
 """Law without damping (a = 0), used as a reference: it returns 1 whatever the nominal restitution."""
 HuntCrossley = _published(
-    "hunt_crossley", "3(1 − e)/2", 0.600, "Hunt & Crossley (1975), J. Appl. Mech. 42, 440–445",
+    "hunt_crossley",
+    "3(1 − e)/2",
+    0.600,
+    "Hunt & Crossley (1975), J. Appl. Mech. 42, 440–445",
     lambda e: 1.5 * (1.0 - e),
-)  # fmt: skip
+)
 """The first published law whose damping vanishes with the indentation; its formula is derived for e close to 1."""
 HerbertMcWhannell = _published(
-    "herbert_mcwhannell", "6(1 − e)/((2e − 1)² + 3)", 0.534, "Herbert & McWhannell (1977), J. Eng. Ind. 99, 671–674",
+    "herbert_mcwhannell",
+    "6(1 − e)/((2e − 1)² + 3)",
+    0.534,
+    "Herbert & McWhannell (1977), J. Eng. Ind. 99, 671–674",
     lambda e: 6.0 * (1.0 - e) / ((2.0 * e - 1.0) * (2.0 * e - 1.0) + 3.0),
-)  # fmt: skip
+)
 LeeWang = _published(
-    "lee_wang", "3(1 − e)/4", 0.753, "Lee & Wang (1983), J. Mech. Trans. Autom. Des. 105, 534–540",
+    "lee_wang",
+    "3(1 − e)/4",
+    0.753,
+    "Lee & Wang (1983), J. Mech. Trans. Autom. Des. 105, 534–540",
     lambda e: 0.75 * (1.0 - e),
-)  # fmt: skip
+)
 LankaraniNikravesh = _published(
-    "lankarani_nikravesh", "3(1 − e²)/4", 0.692, "Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369–376",
+    "lankarani_nikravesh",
+    "3(1 − e²)/4",
+    0.692,
+    "Lankarani & Nikravesh (1990), J. Mech. Des. 112, 369–376",
     lambda e: 0.75 * (1.0 - e * e),
-)  # fmt: skip
+)
 """The law that multibody programs usually offer; its formula is meant for a restitution close to 1."""
 Gonthier = _published(
-    "gonthier", "(1 − e²)/e", 0.352,
-    "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233", lambda e: (1.0 - e * e) / e,
-)  # fmt: skip
+    "gonthier",
+    "(1 − e²)/e",
+    0.352,
+    "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233",
+    lambda e: (1.0 - e * e) / e,
+)
 """A law that really gives close to the nominal restitution over the whole range of it."""
 ZhiyingQishao = _published(
-    "zhiying_qishao", "¾(1 − e²) exp(2(1 − e))", 0.361, "Qin & Lu (2006), J. Dynamics and Control 4(4), 294–298",
+    "zhiying_qishao",
+    "¾(1 − e²) exp(2(1 − e))",
+    0.361,
+    "Qin & Lu (2006), J. Dynamics and Control 4(4), 294–298",
     lambda e: 0.75 * (1.0 - e * e) * float(exp(2.0 * (1.0 - e))),
-)  # fmt: skip
+)
 """The law of Lankarani and Nikravesh with a correction factor for low restitution."""
 Flores = _published(
-    "flores", "8(1 − e)/(5e)", 0.309,
+    "flores",
+    "8(1 − e)/(5e)",
+    0.309,
     "Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357–375; the paper's Eq. (5)",
     lambda e: 8.0 * (1.0 - e) / (5.0 * e),
-)  # fmt: skip
+)
 """The law of the paper about this rig. It gives 0.309 for the nominal 0.35 of the paper's drop test; the paper's own
 simulation rebounded less than the drop test, too.
 """
 HuGuo = _published(
-    "hu_guo", "3(1 − e)/(2e)", 0.325, "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151",
+    "hu_guo",
+    "3(1 − e)/(2e)",
+    0.325,
+    "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151",
     lambda e: 1.5 * (1.0 - e) / e,
-)  # fmt: skip
+)
 Exact = _published(
-    "exact", "root of ln[(1 + a)/(1 − a e)] = a (1 + e)", 0.350, "closed form of the Hunt–Crossley family",
+    "exact",
+    "root of ln[(1 + a)/(1 − a e)] = a (1 + e)",
+    0.350,
+    "closed form of the Hunt–Crossley family",
     factor_returning,
-)  # fmt: skip
+)
 """The law whose factor gives exactly the nominal restitution: a = 2.52338 for e = 0.35."""

@@ -95,9 +95,12 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
             remarks.append(f"messages of {topic} have no stamps: times are those of their receipt")
         stamps = np.frombuffer(one.stamps, np.int64)
         times = Abscissa(
-            AbscissaKind.TIME, "s", (stamps[0] - start_ns) / NS_PER_S, values=(stamps - stamps[0]) / NS_PER_S,
+            AbscissaKind.TIME,
+            "s",
+            (stamps[0] - start_ns) / NS_PER_S,
+            values=(stamps - stamps[0]) / NS_PER_S,
             resolution=0.5 / NS_PER_S,
-        )  # fmt: skip
+        )
         for field, values in one.columns.items():
             name = f"{topic.strip('/')} {field}" if field else topic.strip("/")
             signals[names.unique(name)] = Signal(
@@ -151,10 +154,14 @@ class _Series:
         """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's column `time` [s]."""
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]
-        layout = np.dtype({
-            "names": [one.name for one in fields], "formats": [order + _DATATYPES[one.datatype] for one in fields],
-            "offsets": [one.offset for one in fields], "itemsize": message.point_step,
-        })  # fmt: skip
+        layout = np.dtype(
+            {
+                "names": [one.name for one in fields],
+                "formats": [order + _DATATYPES[one.datatype] for one in fields],
+                "offsets": [one.offset for one in fields],
+                "itemsize": message.point_step,
+            }
+        )
         rows = np.frombuffer(message.data, layout, int(message.width) * int(message.height))
         time = next((name for name in _TIME_COLUMNS if name in layout.names), None) if layout.names else None
         if time is None and len(rows) > 1:
