@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Places of a map per second: gap × frequency around the default rig, settled, with regime, on all cores."""
+"""Places of a map per second: gap × frequency around the default rig, settled, with regime, on all cores.
+
+A line of a map also costs the time of sending it to a worker, a process or that of a Dask cluster, and its result back.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from impact_rig_studies.campaign.pool import in_parallel
+import attrs
+
+from impact_rig_studies.campaign.pool import in_parallel, on_cluster
+from impact_rig_studies.maps.measure import NOTHING, Reading
 from impact_rig_studies.maps.plan import MapPlan, load_map, measure_line
 
 TEXT = """\
@@ -28,6 +34,25 @@ axes:
   gap_m: { from: 0.002, to: 0.040, step: 0.002 }
   frequency_hz: { from: 8.605, to: 9.595, step: 0.005 }
 """
+
+
+JOBS, PROCESS_JOBS = 400, 4_000  # numbers of jobs without work, on Dask and in processes
+
+
+@attrs.frozen
+class NoWork:
+    """Job that costs nothing itself, so that its time is that of sending it and its result."""
+
+    key: str
+
+    def describe(self) -> str:
+        """Return its name."""
+        return self.key
+
+
+def readings_of(_: NoWork) -> list[Reading]:
+    """Return as many readings as a line of the map has."""
+    return [NOTHING] * 20
 
 
 def run() -> dict[str, float]:
@@ -47,7 +72,34 @@ def run() -> dict[str, float]:
         "map_points_per_s": points / wall_s,
         "map_points_per_core_s": points / cpu_s,
         "map_100x100_s": _whole(plan, points, wall_s),
+        "process_line_ms": _process_line_ms(),
+        **_dask_line_ms(),
     }
+
+
+def _process_line_ms() -> float:
+    """Return the time per line of a map in worker processes without that of measuring it, once they run."""
+    results = in_parallel(readings_of, [NoWork(str(n)) for n in range(PROCESS_JOBS)], 2)
+    for _ in range(10):
+        next(results)
+    began = time.monotonic()
+    rest = sum(1 for _ in results)
+    return 1e3 * (time.monotonic() - began) / rest
+
+
+def _dask_line_ms() -> dict[str, float]:
+    """Return the same for a Dask cluster of two workers on this machine, if Dask is installed."""
+    try:
+        from distributed import LocalCluster  # noqa: PLC0415  # an optional dependency
+    except ImportError:
+        return {}
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        measure = on_cluster(readings_of, cluster.scheduler_address)
+        jobs = [NoWork(str(n)) for n in range(JOBS)]
+        list(measure(jobs[:20]))  # the workers import the package
+        began = time.monotonic()
+        assert len(list(measure(jobs))) == JOBS
+        return {"dask_line_ms": 1e3 * (time.monotonic() - began) / JOBS}
 
 
 def _cpu_s() -> float:

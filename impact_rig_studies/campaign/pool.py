@@ -20,11 +20,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -43,6 +45,7 @@ R = TypeVar("R")
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables for the number of threads, which a library for linear algebra reads when it is loaded."""
 AHEAD = 2  # jobs submitted per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
+AHEAD_ON_CLUSTER = 8  # as AHEAD, but a job and its result also take time on their way
 CLOSING_S = 2.0  # time limit for closing a pool whose workers were killed
 
 
@@ -132,6 +135,7 @@ def _begin_worker(parent: int) -> None:
 # travel back, nothing is written there. Workers may join and leave: each result carries the code that made it.
 
 CONNECT_S = 10.0
+WORKERS_S = 0.5  # time between two requests for the list of workers, while jobs run
 UNLIMITED = 1_000_000
 NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
@@ -197,10 +201,13 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
         code, wrong, lost = fingerprint(ROOMS), dict[str, str](), list[str]()
         running: dict[Any, P] = {}
         with client:
-            done = as_completed(loop=client.loop)
+            done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
+            asked_s, present = -math.inf, dict[str, int]()
 
             def usable() -> list[str]:
-                present = client.nthreads()
+                nonlocal asked_s, present
+                if time.monotonic() - asked_s > WORKERS_S:  # not for each job: the answer takes longer than a short one
+                    present, asked_s = client.nthreads(), time.monotonic()
                 if not present:
                     _warn(f"waiting for a worker of the Dask cluster at {address}")
                     client.wait_for_workers(1)
@@ -213,36 +220,38 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                     )
                 return found
 
-            def submit(job: P) -> None:
+            def submit(jobs: Sequence[P]) -> None:
                 # a job gives the same bits wherever it runs, so one whose worker died is simply run again elsewhere
                 # impure: a result of this key that another client has left there is not taken
                 others = usable() if wrong else None
-                future = client.submit(_make, work, job, code, retries=2, pure=False, workers=others)
-                running[future] = job
-                done.add(future)
+                futures = client.map(
+                    _make, [work] * len(jobs), jobs, [code] * len(jobs), retries=2, pure=False, workers=others
+                )
+                running.update(zip(futures, jobs, strict=True))
+                done.update(futures)
 
             waiting = iter(jobs)
-            for job in itertools.islice(waiting, AHEAD * max(1, len(usable()))):
-                submit(job)
+            submit(list(itertools.islice(waiting, AHEAD_ON_CLUSTER * max(1, len(usable())))))
             while running:
-                future = next(done)
-                job = running.pop(future)
-                if future.status != "finished":
-                    lost.append(f"{job.describe()}: {future.exception()}")
-                elif (made := future.result()).code != code:
-                    if made.worker not in wrong:
-                        wrong[made.worker] = made.code
-                        _warn(
-                            f"worker {made.worker} has impact_rig {made.code}, but this process has {code}: the worker "
-                            "is not used"
-                        )
-                    submit(job)
-                    continue
-                for following in itertools.islice(waiting, max(1, AHEAD * len(usable()) - len(running))):
-                    submit(following)
-                if future.status == "finished":
-                    yield job, made.result
-                future.release()
+                finished, again = [], []
+                for future, made in done.next_batch():
+                    job = running.pop(future)
+                    if future.status != "finished":
+                        lost.append(f"{job.describe()}: {future.exception()}")
+                    elif made.code != code:
+                        if made.worker not in wrong:
+                            wrong[made.worker] = made.code
+                            _warn(
+                                f"worker {made.worker} has impact_rig {made.code}, but this process has {code}: the "
+                                "worker is not used"
+                            )
+                        again.append(job)
+                    else:
+                        finished.append((job, made.result))
+                    future.release()
+                room = AHEAD_ON_CLUSTER * len(usable()) - len(running) - len(again)
+                submit([*again, *itertools.islice(waiting, max(0, room))])
+                yield from finished
         if lost:
             raise ImpactRigError(
                 f"{len(lost)} jobs failed on the cluster; run the command again to repeat them. The first: {lost[0]}"

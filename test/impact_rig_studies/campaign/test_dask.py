@@ -34,7 +34,7 @@ import impact_rig
 import impact_rig_studies
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.campaign.pool import AHEAD, cluster_threads, on_cluster
+from impact_rig_studies.campaign.pool import AHEAD_ON_CLUSTER, cluster_threads, on_cluster
 from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.maps.plan import load_map, measure_line
 from impact_rig_studies.maps.run import store
@@ -122,7 +122,7 @@ axes: {current_a: {from: 0.101, to: 0.2, step: 0.001}, frequency_hz: [9.0, 9.1]}
                 taken.append(job)
                 yield job
 
-    lines, most, held = load_map(file).lines(), 2 * AHEAD * len(workers), []
+    lines, most, held = load_map(file).lines(), 2 * AHEAD_ON_CLUSTER * len(workers), []
     assert len(lines) == 100
     with Client(address, timeout=WAIT_S, set_as_default=False) as client:
         for n, (line, readings) in enumerate(on_cluster(measure_line, address)(Jobs(lines))):
