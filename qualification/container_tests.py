@@ -37,7 +37,7 @@ FAILURES = {
     "test_number": "a number",
     "test_topics": "a ratio on topics",
     "test_a_node_raises": "RuntimeError: of a hosted node",
-    "test_a_scheduled_node_raises": "RuntimeError: of a scheduled node",
+    "test_a_hosted_node_raises": "RuntimeError: of a hosted node",
     "test_a_process_ends": "was ended by SIGKILL",
 }
 
@@ -86,9 +86,9 @@ def test_a_node_raises(ros_rig):
     rig.step(40)
 
 
-def test_a_scheduled_node_raises(scheduled_rig):
-    rig = scheduled_rig(QUICK)
-    rig.host(Counter, error="of a scheduled node")
+def test_a_hosted_node_raises(virtual_rig_with_nodes):
+    rig = virtual_rig_with_nodes(QUICK)
+    rig.host(Counter, error="of a hosted node")
     rig.step(40)
 
 

@@ -43,7 +43,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec
 from impact_rig.nodes.messages import nanoseconds
-from impact_rig.testing.schedule import ScheduledRig
+from impact_rig.testing.schedule import LocalRigWithNodes
 from impact_rig.testing.strategies import schedules, search
 
 QUICK = {"daq.rate_hz": 1000, "daq.block_scans": 10, "output.truth_scan": True}
@@ -76,7 +76,7 @@ class Planted(Node):
         """Create subscriptions, timers and parameters."""
         raise NotImplementedError
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         """Assert what the node has published, given the first block after it joined."""
         raise NotImplementedError
 
@@ -93,7 +93,7 @@ class Planted(Node):
         return int(self.get_clock().now().nanoseconds)
 
 
-def scans_since(rig: ScheduledRig, since: int) -> int:
+def scans_since(rig: LocalRigWithNodes, since: int) -> int:
     """Return the number of scans that the rig has published since a stamp."""
     return sum(len(table.rows) for table in rig.tables() if table.stamp_ns >= since)
 
@@ -115,7 +115,7 @@ class OrderOfTopics(Planted):
             return
         self.say(sum(self.blocks.values()) / self.rate_hz)  # type: ignore[operator]  # the mistake
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == scans_since(rig, since) / 1000.0
 
 
@@ -131,7 +131,7 @@ class StaleParameter(Planted):
     def on_scan(self, _message: PointCloud2) -> None:
         self.say(self.get_parameter("gain").value if self.is_sound else self.gain)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == self.get_parameter("gain").value
 
 
@@ -147,7 +147,7 @@ class TimerAgainstMessage(Planted):
         if self.widths or not self.is_sound:
             self.say(self.widths[-1])
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert set(found) <= {10.0}
 
 
@@ -164,7 +164,7 @@ class DoubleStart(Planted):
         if self.timer is None or not self.is_sound:
             self.timer = self.create_timer(0.02, lambda: self.say(self.now_ns()))
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert len(set(found)) == len(found), "two answers at one time"
 
 
@@ -179,7 +179,7 @@ class LostFirstMessage(Planted):
         self.say(nanoseconds(message.header.stamp) // BLOCK_NS if self.is_sound else self.number)
         self.number += 1
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == rig.tables()[-1].stamp_ns // BLOCK_NS
 
 
@@ -197,7 +197,7 @@ class BlockingCallback(Planted):
         self.known.wait()
         self.say(message.width)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert set(found) == {10.0}
 
 
@@ -214,7 +214,7 @@ class CountedTwice(Planted):
         self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(self.total)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == scans_since(rig, since)
 
 
@@ -237,7 +237,7 @@ class KeptAcrossReset(Planted):
         self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(sum(width for stamp, width in self.blocks.items() if stamp >= self.begin_ns))
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == scans_since(rig, max(since, rig.core.start_ns))
 
 
@@ -252,7 +252,7 @@ class SumOverLateJoiner(Planted):
         first = min(self.blocks) if self.is_sound else 0
         self.say(sum(self.blocks.values()) * 1e6 / (max(self.blocks) + BLOCK_NS - first))
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         stamps = [table.stamp_ns for table in rig.tables() if table.stamp_ns >= since]
         assert found[-1] == scans_since(rig, since) * 1e6 / (stamps[-1] + BLOCK_NS - stamps[0])
 
@@ -263,7 +263,7 @@ class QosMismatch(Planted):
     def begin(self) -> None:
         self.on("daq/scan", lambda message: self.say(message.width), qos=DEEP if self.is_sound else LATCHED)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found
 
 
@@ -281,7 +281,7 @@ class OffByOne(Planted):
         self.next_ns = nanoseconds(message.header.stamp) + BLOCK_NS
         self.say(self.lost)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         stamps = [table.stamp_ns for table in rig.tables() if table.stamp_ns >= since]
         gaps = (later - one - BLOCK_NS for one, later in itertools.pairwise(stamps))
         assert found[-1] == sum(gaps) // 10**6
@@ -297,7 +297,7 @@ class ShortQueue(Planted):
         self.blocks[nanoseconds(message.header.stamp)] = message.width
         self.say(sum(self.blocks.values()))
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == scans_since(rig, since)
 
 
@@ -320,7 +320,7 @@ class ChangedBetween(Planted):
             last = len(self.slots) if self.is_sound else self.get_parameter("window").value
             self.say(self.slots[last - 1])
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert set(found) <= {1.0}
 
 
@@ -337,7 +337,7 @@ class TicksAsTime(Planted):
         self.ticks += 1
         self.say((self.now_ns() - self.first_ns) * 1e-9 if self.is_sound else self.ticks * 0.02)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         if found and self.first_ns is not None:
             assert abs(found[-1] - (self.now_ns() - self.first_ns) * 1e-9) < 0.025
 
@@ -362,7 +362,7 @@ class CommandIsNoFact(Planted):
     def on_applied(self, message: bytes) -> None:
         self.frequency_hz = float(codec.decode(message).rows["frequency"][-1])
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert found[-1] == rig.rows("shaker/applied")["frequency"][-1]
 
 
@@ -384,7 +384,7 @@ class StopIgnored(Planted):
             self.destroy_timer(self.timer)
             self.timer = None
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert all(found), "answers after a stop"
 
 
@@ -397,7 +397,7 @@ class ReceiptTime(Planted):
     def on_scan(self, message: PointCloud2) -> None:
         self.say(nanoseconds(message.header.stamp) if self.is_sound else self.now_ns() - BLOCK_NS)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert sorted(set(found)) == [table.stamp_ns for table in rig.tables() if table.stamp_ns >= since]
 
 
@@ -428,7 +428,7 @@ class SleepingCallback(Planted):
             self.say(self.last_ns - self.goal_ns)
             self.goal_ns = None
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert all(value >= 0.0 for value in found), "a block from before the goal"
 
 
@@ -451,7 +451,7 @@ class PairedByArrival(Planted):
         if one is not None and other is not None:
             self.say(one - other)
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert not any(found)
 
 
@@ -473,17 +473,17 @@ class ServiceBeforeData(Planted):
             self.say(self.last.width)  # type: ignore[union-attr]  # the mistake
         return response
 
-    def check(self, rig: ScheduledRig, found: list[float], since: int) -> None:
+    def check(self, rig: LocalRigWithNodes, found: list[float], since: int) -> None:
         assert set(found) <= {10.0}
 
 
 MISTAKES: dict[str, type[Planted]] = {one.__name__: one for one in Planted.__subclasses__()}
 
 
-def checked(kind: type[Planted]) -> Callable[[ScheduledRig], Callable[[], None]]:
+def checked(kind: type[Planted]) -> Callable[[LocalRigWithNodes], Callable[[], None]]:
     """Return the check of a node: host it, and compare what it has published with what the rig knows."""
 
-    def check(rig: ScheduledRig) -> Callable[[], None]:
+    def check(rig: LocalRigWithNodes) -> Callable[[], None]:
         since, out = rig.core.start_ns + rig.now_ns, rig.listen("out")
         node = rig.host(kind)
         return lambda: node.check(rig, [message.data for message in out.messages], since)
@@ -493,10 +493,10 @@ def checked(kind: type[Planted]) -> Callable[[ScheduledRig], Callable[[], None]]
 
 def find(kind: type[Planted], examples: int = EXAMPLES) -> tuple[str, BaseException] | None:
     """Search for a failure of a node; return the scenario of three lines and its error, or None."""
-    made: list[ScheduledRig] = []
+    made: list[LocalRigWithNodes] = []
 
-    def make_rig(values: dict[str, Any]) -> ScheduledRig:
-        made[:] = [ScheduledRig(values)]
+    def make_rig(values: dict[str, Any]) -> LocalRigWithNodes:
+        made[:] = [LocalRigWithNodes(values)]
         return made[0]
 
     try:
@@ -516,10 +516,10 @@ def count_actions(scenario: str) -> int:
 
 def replay(kind: type[Planted], scenario: str) -> bytes:
     """Run the three lines of a scenario; return the callbacks, publications and the error as bytes."""
-    made: list[ScheduledRig] = []
+    made: list[LocalRigWithNodes] = []
 
-    def make_rig(values: dict[str, Any]) -> ScheduledRig:
-        made.append(ScheduledRig(values))
+    def make_rig(values: dict[str, Any]) -> LocalRigWithNodes:
+        made.append(LocalRigWithNodes(values))
         return made[-1]
 
     error = ""

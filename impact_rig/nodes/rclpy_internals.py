@@ -95,10 +95,10 @@ def events_executor(context: Any) -> Any:
     version = importlib.metadata.version("rclpy")
     if EventsExecutor is object or not version.startswith(KNOWN):
         return None
-    return LookingExecutor(context)
+    return PollingEventsExecutor(context)
 
 
-class LookingExecutor(EventsExecutor):
+class PollingEventsExecutor(EventsExecutor):
     """Events executor that misses no message which arrives while it starts to listen to a new subscription."""
 
     def __init__(self, context: Any) -> None:

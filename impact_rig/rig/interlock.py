@@ -37,7 +37,7 @@ from impact_rig.physics.model import Model
 from impact_rig.physics.sampling import QUERY, SAMPLED, Query, SamplingWorkspace, Trajectory, places, sample
 from impact_rig.physics.stream import UNDERRUN
 
-LOOKS_PER_TICK = 10
+SAMPLES_PER_TICK = 10
 """Number of instants per tick at which the interlock samples the motion: one per 1 ms. The extremes between them follow
 from position and velocity. At the 30 Hz below which this shaker can reach its stops, their error is 3e-6
 (spacing⁴ ω⁴ / 384).
@@ -77,7 +77,7 @@ class Interlock:
 
     def __init__(self) -> None:
         self._mean_square = 0.0
-        self._looks: Query | None = None  # scratch memory for the sampled instants and quantities
+        self._query: Query | None = None  # scratch memory for the sampled instants and quantities
 
     def reset(self) -> None:
         """Forget the average of the current, so that the past does not trip the shaker again."""
@@ -104,11 +104,11 @@ class Interlock:
         if drive.kind == "prescribed":
             return None
         ticks = motion.last_tick - motion.first_tick + 1
-        if self._looks is None or len(self._looks.tick) != ticks * (LOOKS_PER_TICK + 1):
-            room = np.empty((4, ticks * (LOOKS_PER_TICK + 1)))
-            self._looks = Query(places(("x_b", "v_b", "current")), np.empty(room.shape[1], np.int64), room[3], room[:3])
+        if self._query is None or len(self._query.tick) != ticks * (SAMPLES_PER_TICK + 1):
+            room = np.empty((4, ticks * (SAMPLES_PER_TICK + 1)))
+            self._query = Query(places(("x_b", "v_b", "current")), np.empty(room.shape[1], np.int64), room[3], room[:3])
         found = np.empty((ticks, 2))
-        travel_and_current(*motion.sampled, self._looks, tick_s / LOOKS_PER_TICK, found)
+        travel_and_current(*motion.sampled, self._query, tick_s / SAMPLES_PER_TICK, found)
         if (drive.kind, drive.waveform) == ("current", "stream"):  # a stream may contain anything between the samples
             mean_square_of_lines(for_kernels(motion.segments), motion.first_segment, tick_s, found)
         gain = _gain(tick_s)

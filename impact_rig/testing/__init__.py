@@ -13,10 +13,11 @@
 # limitations under the License.
 """Tools for tests of a pipeline, described in `docs/how-to/testing.md`; other programs use `impact_rig.client`.
 
-Use them through the pytest plugin's fixtures `virtual_rig`, `scheduled_rig`, `ros_rig` and `golden`, or directly:
+Use them directly, or through the fixtures `virtual_rig`, `virtual_rig_with_nodes`, `ros_rig` and `golden` of the pytest
+plugin:
 
 - `LocalRig`: a rig in the test's process, without ROS; the pipeline is a function of blocks.
-- `ScheduledRig`: such a rig that also runs ROS nodes, in an order of callbacks that a scenario decides.
+- `LocalRigWithNodes`: such a rig that also runs ROS nodes, in an order of callbacks that a scenario decides.
 - `RosRig`: a rig on its own ROS domain, in lockstep with the nodes under test.
 - `Fault`: a fault of the instruments at exact samples.
 - `Golden`: comparison with a run, or with numbers, that were checked once.
@@ -34,9 +35,18 @@ if TYPE_CHECKING:
     from impact_rig.driver import LocalRig, NotReachedError, RigDriver, RosRig
     from impact_rig.instruments.fault import Fault
     from impact_rig.testing.golden import Golden, first_difference
-    from impact_rig.testing.schedule import ScheduledRig
+    from impact_rig.testing.schedule import LocalRigWithNodes
 
-__all__ = ["Fault", "Golden", "LocalRig", "NotReachedError", "RigDriver", "RosRig", "ScheduledRig", "first_difference"]
+__all__ = [
+    "Fault",
+    "Golden",
+    "LocalRig",
+    "LocalRigWithNodes",
+    "NotReachedError",
+    "RigDriver",
+    "RosRig",
+    "first_difference",
+]
 
 __getattr__ = lazily(
     __name__,
@@ -44,9 +54,9 @@ __getattr__ = lazily(
     Fault="impact_rig.instruments.fault",
     Golden="golden",
     LocalRig="impact_rig.driver",
+    LocalRigWithNodes="schedule",
     NotReachedError="impact_rig.driver",
     RigDriver="impact_rig.driver",
     RosRig="impact_rig.driver",
-    ScheduledRig="schedule",
     first_difference="golden",
 )

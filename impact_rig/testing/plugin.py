@@ -21,7 +21,7 @@ names of `testing` import them when a fixture is used.
 | fixture | value |
 |---|---|
 | `virtual_rig` | function that starts a rig in the test's process, without ROS: see `LocalRig` |
-| `scheduled_rig` | function that starts such a rig that also runs ROS nodes, callback by callback: see `ScheduledRig` |
+| `virtual_rig_with_nodes` | function that starts such a rig that also runs ROS nodes: see `LocalRigWithNodes` |
 | `ros_rig` | function that starts a rig on its own ROS domain: see `RosRig` |
 | `golden` | comparison with golden data next to the test file: see `Golden` |
 """
@@ -81,9 +81,9 @@ def virtual_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testin
 
 
 @pytest.fixture
-def scheduled_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.ScheduledRig]]:
-    """Return a function that starts a rig in this process that hosts ROS nodes: `scheduled_rig().host(MyNode)`."""
-    yield from _starting(request, testing.ScheduledRig)
+def virtual_rig_with_nodes(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.LocalRigWithNodes]]:
+    """Return a function that starts a rig in this process; the rig's method `host` adds ROS nodes: `host(MyNode)`."""
+    yield from _starting(request, testing.LocalRigWithNodes)
 
 
 @pytest.fixture

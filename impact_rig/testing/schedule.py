@@ -13,10 +13,11 @@
 # limitations under the License.
 """Rig in this process that runs the callbacks of ROS nodes in an order that a scenario decides.
 
-`ScheduledRig.host` creates a node with real subscriptions, timers, parameters and clock, and runs its callbacks one by
-one in rig time, as a single-threaded executor does. Messages pass through a model of the transport instead of the
-middleware: queues of the subscription's depth, qualities of service that must match, and latched messages for
-subscribers that join late. So the order of callbacks depends only on the scenario. `strategies` has the actions.
+`LocalRigWithNodes.host` creates a node with real subscriptions, timers, parameters and clock. It runs the node's
+callbacks one by one in rig time, as a single-threaded executor does. Messages pass through a model of the transport
+instead of the middleware: queues of the subscription's depth, qualities of service that must match, and latched
+messages for subscribers that join late. So the order of callbacks depends only on the scenario. The actions of a
+scenario are in `impact_rig.testing.strategies`.
 """
 
 from __future__ import annotations
@@ -137,7 +138,7 @@ class _Latched:
     kept: deque[tuple[int, bytes]]
 
 
-class ScheduledRig(LocalRig):
+class LocalRigWithNodes(LocalRig):
     """Rig in this process that can host ROS nodes: a `LocalRig` with `host` and `listen` as `RosRig` has them.
 
     Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes.

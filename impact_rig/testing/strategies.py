@@ -36,7 +36,7 @@ from impact_rig.instruments.instrument import BOARD_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 
 if TYPE_CHECKING:
-    from impact_rig.testing.schedule import ScheduledRig
+    from impact_rig.testing.schedule import LocalRigWithNodes
 
 __all__ = [
     "Burst", "Call", "Command", "Delay", "Drop", "Duplicate", "First", "Inject", "LateJoin", "ParameterChange", "Pause",
@@ -120,7 +120,7 @@ class Reset:
 
     def do(self, rig: RigDriver) -> None:
         """Reset the rig after the callbacks."""
-        scheduled(rig).after(self.after, scheduled(rig).reset)
+        with_nodes(rig).after(self.after, with_nodes(rig).reset)
 
 
 @attrs.frozen
@@ -143,7 +143,7 @@ class Delay:
 
     def do(self, rig: RigDriver) -> None:
         """Hold the source's callbacks back."""
-        scheduled(rig).hold(self.source, self.blocks)
+        with_nodes(rig).hold(self.source, self.blocks)
 
 
 @attrs.frozen
@@ -155,7 +155,7 @@ class First:
 
     def do(self, rig: RigDriver) -> None:
         """Run the source's callbacks before all others."""
-        scheduled(rig).prefer(self.source, self.blocks)
+        with_nodes(rig).prefer(self.source, self.blocks)
 
 
 @attrs.frozen
@@ -167,7 +167,7 @@ class Burst:
     def do(self, rig: RigDriver) -> None:
         """Hold the callbacks of all messages and timers back."""
         for source in ("messages", "timers"):
-            scheduled(rig).hold(source, self.blocks)
+            with_nodes(rig).hold(source, self.blocks)
 
 
 @attrs.frozen
@@ -179,7 +179,7 @@ class Duplicate:
 
     def do(self, rig: RigDriver) -> None:
         """Deliver the next messages twice."""
-        scheduled(rig).duplicate(self.topic, self.count)
+        with_nodes(rig).duplicate(self.topic, self.count)
 
 
 @attrs.frozen
@@ -191,7 +191,7 @@ class Drop:
 
     def do(self, rig: RigDriver) -> None:
         """Drop the next messages."""
-        scheduled(rig).drop(self.topic, self.count)
+        with_nodes(rig).drop(self.topic, self.count)
 
 
 @attrs.frozen
@@ -204,7 +204,7 @@ class SetParameter:
 
     def do(self, rig: RigDriver) -> None:
         """Change the parameter of the hosted nodes after the callbacks."""
-        scheduled(rig).after(self.after, lambda: scheduled(rig).set_parameter(self.name, self.value))
+        with_nodes(rig).after(self.after, lambda: with_nodes(rig).set_parameter(self.name, self.value))
 
 
 @attrs.frozen
@@ -217,7 +217,7 @@ class Send:
 
     def do(self, rig: RigDriver) -> None:
         """Send the message to the hosted nodes after the callbacks."""
-        scheduled(rig).after(self.after, lambda: scheduled(rig).send_data(self.topic, self.data))
+        with_nodes(rig).after(self.after, lambda: with_nodes(rig).send_data(self.topic, self.data))
 
 
 @attrs.frozen
@@ -229,25 +229,25 @@ class Call:
 
     def do(self, rig: RigDriver) -> None:
         """Call the hosted nodes' service after the callbacks."""
-        scheduled(rig).after(self.after, lambda: scheduled(rig).call(self.service))
+        with_nodes(rig).after(self.after, lambda: with_nodes(rig).call(self.service))
 
 
 RigAction = Command | ParameterChange | Inject | Pause | Silence
 """Action on any rig. If the rig rejects it, this is not a failure of the pipeline."""
 Action = RigAction | Reset | LateJoin | Delay | First | Burst | Duplicate | Drop | SetParameter | Send | Call
-"""Action on a rig, or on the transport between a `ScheduledRig` and the nodes that it hosts."""
+"""Action on a rig, or on the transport between a `LocalRigWithNodes` and the nodes that it hosts."""
 
 
-def scheduled(rig: RigDriver) -> ScheduledRig:
-    """Check that a rig is a `ScheduledRig`, as actions on callbacks need, and return it with this type.
+def with_nodes(rig: RigDriver) -> LocalRigWithNodes:
+    """Check that a rig is a `LocalRigWithNodes`, as actions on callbacks need, and return it with this type.
 
     Raises:
-        TypeError: the rig is not a scheduled rig.
+        TypeError: the rig is not a `LocalRigWithNodes`.
     """
-    from impact_rig.testing.schedule import ScheduledRig  # noqa: PLC0415  # needs ROS
+    from impact_rig.testing.schedule import LocalRigWithNodes  # noqa: PLC0415  # needs ROS
 
-    if not isinstance(rig, ScheduledRig):
-        raise TypeError(f"this action needs a rig of the fixture scheduled_rig, not {type(rig).__name__}")
+    if not isinstance(rig, LocalRigWithNodes):
+        raise TypeError(f"this action needs a rig of the fixture virtual_rig_with_nodes, not {type(rig).__name__}")
     return rig
 
 
@@ -259,7 +259,7 @@ def schedules(
     most_actions: int = 6,
     most_blocks: int = 8,
 ) -> st.SearchStrategy[list[Action]]:
-    """Return a Hypothesis strategy for scenarios on a `ScheduledRig`: actions on its nodes, transport and rig.
+    """Return a Hypothesis strategy for scenarios on a `LocalRigWithNodes`: actions on its nodes, transport and rig.
 
     Args:
         topics: topics that the nodes under test subscribe to.
@@ -343,7 +343,7 @@ def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
             action.do(rig)
         rig.step()
     if not all(isinstance(action, RigAction) for action in actions):
-        scheduled(rig).calm()
+        with_nodes(rig).calm()
     lasting = max((fault.start_sample + fault.samples for fault in rig.faults), default=0) - rig.sample
     rig.step(min(max(0, -(-lasting // rig.block_scans)), MOST_BLOCKS) + AFTERWARDS)
     if finish is not None:

@@ -303,7 +303,7 @@ def test_without_the_library_of_the_page_one_line_names_the_remedy(line: str, tm
     assert needs == "aiohttp, which is not installed: pip install 'impact_rig[lab]'\n"
 
 
-@pytest.mark.parametrize("name", ["RosRig", "Client", "driver.RosRig", "client.Collector", "testing.ScheduledRig"])
+@pytest.mark.parametrize("name", ["RosRig", "Client", "driver.RosRig", "client.Collector", "testing.LocalRigWithNodes"])
 def test_without_ros_a_class_names_the_remedy(name: str, tmp_path: Path) -> None:
     package, _, one = f"impact_rig.{name}".rpartition(".")
     done = without(ROS, tmp_path, f"from {package} import {one}")

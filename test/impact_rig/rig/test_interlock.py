@@ -26,10 +26,10 @@ from kits.rig import TICK, paper_rig
 
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig import Rig
-from impact_rig.rig.interlock import LOOKS_PER_TICK, largest_travel, mean_square
+from impact_rig.rig.interlock import SAMPLES_PER_TICK, largest_travel, mean_square
 from impact_rig.rig.journal import InputKind
 
-SAMPLE_S = 1e-2 / LOOKS_PER_TICK
+SAMPLE_S = 1e-2 / SAMPLES_PER_TICK
 FINE_HZ = 50_000
 AT_RESONANCE = {"drive__frequency_hz": 9.105, "shaker__travel_limit_m": 1e-3}
 BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
@@ -166,7 +166,7 @@ def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
 def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
     """The error is h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
     omega = 2 * math.pi * frequency_hz
-    instants, fine = np.arange(LOOKS_PER_TICK + 1) * SAMPLE_S, np.linspace(0.0, LOOKS_PER_TICK * SAMPLE_S, 100_001)
+    instants, fine = np.arange(SAMPLES_PER_TICK + 1) * SAMPLE_S, np.linspace(0.0, SAMPLES_PER_TICK * SAMPLE_S, 100_001)
     position = offset + np.sin(omega * instants + phase)
     velocity = omega * np.cos(omega * instants + phase)
     found = largest_travel(position, velocity, SAMPLE_S)

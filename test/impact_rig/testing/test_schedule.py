@@ -41,7 +41,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.nodes.messages import MONITORS
 from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
-from impact_rig.testing import Fault, LocalRig, ScheduledRig
+from impact_rig.testing import Fault, LocalRig, LocalRigWithNodes
 from impact_rig.testing.schedule import BlockedError
 from impact_rig.testing.strategies import (
     Burst,
@@ -91,7 +91,7 @@ class Observer(Node):
 
 def played(actions: list[Any], make_node: Any = Observer, **kwargs: Any) -> list[float]:
     """Return the values that a node publishes in a scenario; a timer gives 0."""
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         out = rig.listen("out")
         repeat(rig, lambda rig: rig.host(make_node, **kwargs) and None, actions)
         return [message.data for message in out.messages]
@@ -150,7 +150,7 @@ class Receiver(Node):
 
 def test_the_transport_delivers_what_the_middleware_delivers() -> None:
     """Queues, late joiners and incompatible requests: 3 messages before a node joins, 12 while it is busy."""
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         for messages in (range(3), range(3, 15)):
             for pair in PAIRS:
                 for number in messages:
@@ -184,8 +184,8 @@ def test_the_transport_delivers_what_the_middleware_delivers() -> None:
 def test_a_node_gives_the_same_answers_as_behind_the_middleware(ros_rig: Any) -> None:
     """Compare the answers to 50 blocks, to a command and to a change of a parameter, without those of the timer."""
     found = []
-    with ScheduledRig(QUICK) as scheduled:
-        for rig in (scheduled, ros_rig(QUICK, hosted=True)):
+    with LocalRigWithNodes(QUICK) as local:
+        for rig in (local, ros_rig(QUICK, hosted=True)):
             node = rig.host(Observer)
             out = rig.listen("out")
             rig.step(20)
@@ -216,7 +216,7 @@ def test_the_rig_gives_all_its_topics_and_follows_commands() -> None:
                 self.current.publish(Float64(data=0.5))
                 self.frequency.publish(Float64(data=5000.0))  # rejected
 
-    with ScheduledRig({**QUICK, "barriers.gap_m": 0.002}) as rig:
+    with LocalRigWithNodes({**QUICK, "barriers.gap_m": 0.002}) as rig:
         node = rig.host(Reader)
         rig.run(3.0)
         assert node.counts["daq/scan"] == 300
@@ -261,14 +261,14 @@ class Waiting(Node):
 
 @pytest.mark.parametrize("how", ["event", "rate", "future"])
 def test_a_callback_that_waits_for_another_is_named(how: str) -> None:
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         rig.host(Waiting, how=how)
         with pytest.raises(BlockedError, match=r"waiting blocks: its callback for daq/scan a?waits"):
             rig.step(3)
 
 
 def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Waiting, how="later")
         rig.step(3)
         assert node.count == 3
@@ -278,7 +278,7 @@ def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
 def test_what_a_callback_sleeps_is_rig_time(how: str) -> None:
     """Each callback sleeps for 35 ms, so that one of four blocks is processed and the queue of 4 overflows."""
     begin = time.monotonic()
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Waiting, how=how)
         rig.step(400)
         assert node.count == 100
@@ -292,17 +292,17 @@ def test_timers_by_wall_time_are_refused() -> None:
             super().__init__("steady")
             self.create_timer(0.1, print, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    with ScheduledRig(QUICK) as rig, pytest.raises(ConfigError, match=r"steady runs by STEADY_TIME.*node's clock"):
+    with LocalRigWithNodes(QUICK) as rig, pytest.raises(ConfigError, match=r"steady runs by STEADY_TIME.*node's clock"):
         rig.host(Steady)
 
 
-def test_an_action_on_the_transport_needs_a_scheduled_rig() -> None:
-    with LocalRig(QUICK) as rig, pytest.raises(TypeError, match="scheduled_rig, not LocalRig"):
+def test_an_action_on_the_transport_needs_a_rig_with_nodes() -> None:
+    with LocalRig(QUICK) as rig, pytest.raises(TypeError, match="virtual_rig_with_nodes, not LocalRig"):
         repeat(rig, lambda _: None, [Burst(2)])
 
 
 def test_the_run_of_a_reset_rig_is_sound(tmp_path: Path) -> None:
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Observer)
         repeat(rig, lambda _: None, [Command(9.1, 0.5), Pause(20), Reset(after=1), Pause(5), Command(9.3, 0.4)])
         assert rig.lost_samples() == []
@@ -325,7 +325,7 @@ def test_the_monitor_topics_follow_the_configuration() -> None:
             topic = MONITORS["laser"].name
             self.create_subscription(Range, topic, lambda message: ranges.append(message.max_range), 10)
 
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         laser = rig.config.instruments.laser
         rig.host(Ranges)
         rig.run(0.5)
@@ -337,7 +337,7 @@ def test_the_monitor_topics_follow_the_configuration() -> None:
 
 
 def test_scans_lost_after_a_reset_are_counted_from_the_reset() -> None:
-    with ScheduledRig(QUICK) as rig:
+    with LocalRigWithNodes(QUICK) as rig:
         rig.step(20)
         rig.clear()
         rig.reset()
