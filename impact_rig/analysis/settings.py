@@ -27,20 +27,24 @@ import attrs
 import numpy as np
 
 from impact_rig.blocks import SETTINGS, Table
-from impact_rig.config.fields import integer, quantity
+from impact_rig.config.fields import describe_fields, integer, quantity
 from impact_rig.errors import ConfigError
 from impact_rig.system.machine import fingerprint
 
 
+@describe_fields
 @attrs.frozen(kw_only=True)
 class TrackerSettings:
     """Settings of `Tracker`, which measures the transmissibility; also the parameters of the analysis node.
 
     The defaults suit vibrations of 5 to 200 Hz whose transients decay with time constants of 0.3 to 4 s.
-    docs/reference/configuration.md describes each setting, with unit and range.
 
     Raises:
-        ConfigError: a value is out of range, or two contradict each other.
+        ConfigError: a value is out of range, or `windows` is greater than `long_windows`.
+
+    See Also:
+        - `LocalRig`, `RosRig`: their argument `analysis` takes these settings.
+        - docs/reference/configuration.md: each setting with unit, range and default.
     """
 
     harmonics: int = integer(

@@ -150,12 +150,11 @@ def add_field(
         kind = {"choices": about.choices}
     if several:
         kind["nargs"] = "+"
-    meaning = about.doc[:1].lower() + about.doc[1:].rstrip(".")
     parser.add_argument(
         option or f"--{field.name.replace('_', '-')}",
         default=default,
         metavar=metavar,
-        help=f"{meaning} (default: {shown})",
+        help=f"{about.meaning} (default: {shown})",
         **kind,
     )
 

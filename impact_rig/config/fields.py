@@ -22,10 +22,12 @@ from __future__ import annotations
 
 import enum
 import functools
+import inspect
 import math
 import re
+import textwrap
 from collections.abc import Callable, Mapping
-from typing import Any  # attrs validators receive untyped instances
+from typing import Any, TypeVar  # Any: attrs validators receive untyped instances
 
 import attrs
 import yaml
@@ -33,6 +35,7 @@ import yaml
 from impact_rig.errors import ConfigError
 from impact_rig.names import quoted
 
+S = TypeVar("S", bound="attrs.AttrsInstance")
 METADATA_KEY = "impact_rig"
 LONGEST_BITS = 64  # of an integer
 LEAST, MOST = 1e-15, 1e15
@@ -65,6 +68,11 @@ class FieldInfo:
     pattern: str = ""  # regular expression that a text must match
     means: str = ""  # texts that `pattern` allows, for messages
 
+    @property
+    def meaning(self) -> str:
+        """Meaning of the value as a part of a sentence: it begins in lower case and has no full stop."""
+        return self.doc[:1].lower() + self.doc[1:].rstrip(".")
+
     def range_text(self) -> str:
         """Return the allowed values as text for messages, for example `> 0 and <= 1` or `one of sine, chirp`."""
         if self.choices:
@@ -90,6 +98,18 @@ def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
     found = attribute.metadata[METADATA_KEY]
     assert isinstance(found, FieldInfo)
     return found
+
+
+def describe_fields(section: type[S]) -> type[S]:
+    """Add meaning, range, unit and default of each field to the docstring of a section; a decorator of its class."""
+    lines = [inspect.cleandoc(section.__doc__ or ""), "", "Attributes:"]
+    for attribute in attrs.fields(section):
+        about = info(attribute)
+        unit = "" if about.unit == "-" else f" {about.unit}"
+        text = f"{attribute.name}: {about.meaning} ({about.range_text()}{unit}; default: {attribute.default})."
+        lines += textwrap.wrap(text, 100, initial_indent="    ", subsequent_indent="        ")
+    section.__doc__ = "\n".join(lines)
+    return section
 
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
