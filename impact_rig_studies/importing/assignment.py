@@ -50,7 +50,8 @@ def guess(source: ImportedSignals) -> Mapping:
     """Return the mapping that headings, units and the name of a file suggest; parts without a clue are left out.
 
     Names of our own channels take precedence, then words of other programs, then units that only one channel has. An
-    accelerometer on the structure also serves as the channel `laser`, its motion, if no other signal does.
+    accelerometer on the structure also serves as the channel `laser`, its motion, if `base` has a signal and no other
+    signal is `laser`.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -123,7 +124,7 @@ def _fits(signal: Signal, channel: str) -> bool:
 
 
 def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
-    """Return the reason for the user why a signal is not used; empty if it is the source of the frequency or gap."""
+    """Return the reason for the user why no channel uses a signal; empty if it gives the frequency or the gap."""
     if name in (mapping.frequency, mapping.gap):
         return ""
     one = signals[name]
@@ -149,7 +150,8 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
     """Return channels with one changed by the text of an option `--channel`.
 
     The text names the channel and its signal, which may be followed by a unit and a sensitivity: `laser=ai0`,
-    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel.
+    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel. A channel keeps its other properties, such
+    as its sign. The signal need not be in `signals`, whose names only tell where a name with blanks ends.
 
     Raises:
         ConfigError: the text is malformed, or its channel is unknown.
@@ -158,8 +160,8 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
     name = name.strip()
     if not equals or name not in CHANNELS:
         raise ConfigError(
-            f"--channel must be like laser=ai0, laser='ai0 mm' or laser='ai0 V, 500 mV/mm', for {', '.join(CHANNELS)}; "
-            f"got {text!r}"
+            f"--channel must be like laser=ai0, laser='ai0 mm' or laser='ai0 V, 500 mV/mm', with one of the channels "
+            f"{', '.join(CHANNELS)}; got {text!r}"
         )
     changed = dict(channels)
     rest = rest.strip()

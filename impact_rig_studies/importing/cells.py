@@ -56,7 +56,8 @@ LONGEST_CELL = 64
 def number(cell: str, decimal: str = ".") -> float | None:
     """Return the number in a cell, NaN for a missing one (such as `n/a`), or None if the cell contains something else.
 
-    `decimal` is the decimal sign, `.` or `,`.
+    `decimal` is the decimal sign, `.` or `,`. The number may be infinite, and its digits may be in groups of three. A
+    cell of more than `LONGEST_CELL` characters gives None.
     """
     text = cell.strip().replace("\u2212", "-")
     if len(text) > LONGEST_CELL:
@@ -95,9 +96,10 @@ def half_digit(cell: str) -> float:
 def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
     """Return the decimal sign of the columns of a table, and whether its cells are evidence of it.
 
-    Cells such as `0,5` or `1.234,5` are evidence; `1,234` alone is not. In a column with whole numbers, of which only
-    those from 1000 on have a sign, it separates groups of digits. Without evidence the sign is a comma if there is one
-    and no point.
+    Cells such as `0,5` or `1.234,5` are evidence; `1,234` alone is not. If a column also has whole numbers without a
+    sign, and none above 999, the sign in `1,234` separates groups of digits; if one is above 999, it is the decimal
+    sign. Without evidence the decimal sign is a comma if cells contain commas and no points. If the evidence is
+    contradictory, it is a point.
 
     Args:
         columns: cells of each column.
@@ -202,11 +204,14 @@ class Times:
             ns = days * _DAY_NS + clocks
             days += np.cumsum(np.diff(ns, prepend=ns[:1]) < -_DAY_NS // 2)
         self.ns: NDArray[np.int64] = days * _DAY_NS + clocks
-        """Time since 1970 in the time zone of the file, or since the midnight before the first one; shape (n,) [ns]."""
+        """Time of each cell, shape (n,) [ns]: a duration, or the time of day since the midnight before the first cell.
+
+        Dates count from 1970, in UTC if the cells state their offset from it, else in the time zone of the file.
+        """
 
     @property
     def note(self) -> str:
-        """Assumption about the order of day and month, for the user; empty if the order was certain."""
+        """Note for the user that dates such as 3/4/2026 were read with the month first; empty if they were not."""
         return "dates were read as month/day/year" if self._month_first else ""
 
     @staticmethod

@@ -74,15 +74,15 @@ def signals_of(
 ) -> ImportedSignals:
     """Return the columns of a table as signals with a common abscissa.
 
-    A two-dimensional column becomes as many signals as its shorter side has. Columns that are not signals are left out,
-    with the reason for the user.
+    A two-dimensional column becomes one signal for each index of its shorter side. Columns that are not signals, such
+    as texts or single values next to longer columns, are in `left_out` of the result, with the reason for the user.
 
     Args:
         path: the file.
         file_format: name of the format for messages.
         columns: columns by heading, shape (n,) or (n, k); a rate or a period has a single value.
         column_units: units by heading, if they are not part of it.
-        rate_hz: rate that the file states outside the columns.
+        rate_hz: rate that the file states outside the columns; a column such as `fs` or `dt` takes precedence.
         remarks: assumptions of the reader.
         left_out: parts that the reader has left out.
         rate_note: assumption about `rate_hz`, or the reason why it is None.

@@ -31,7 +31,7 @@ from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing import units
 from impact_rig_studies.importing.mapping import CALIBRATION, OTHER_UNIT, Channel, Mapping
-from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal, SignalKind
+from impact_rig_studies.importing.signals import Abscissa, ImportedSignals, Real, Signal, SignalKind, reasons
 from impact_rig_studies.importing.steps import step_of
 from impact_rig_studies.importing.uniform import Rate, aligned, uniform
 
@@ -76,13 +76,16 @@ def convert(
     Args:
         source: content of the file.
         mapping: assignment of its signals to channels.
-        drive: table of commands with `frequency`, `current` and `time` or `stamp_ns`; None means the mapping's drive.
-        sheet: table of calibration with columns of `daq/info`, one row per channel; None means the mapping's
-            calibration.
+        drive: table of commands with the columns `time` or `stamp_ns`, `frequency` and, if known, `current`. None means
+            the mapping's frequency, or if it has none, the one found in the data.
+        sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence, and
+            what neither states is estimated from the data.
 
     Raises:
-        ConfigError: no channel is mapped, a signal or unit is missing, or times are not uniform.
-        RecordingError: lengths or abscissas differ.
+        ConfigError: no channel is mapped, a mapped signal does not exist, a unit is not possible for its channel, times
+            are not uniform, or a table has an invalid value.
+        RecordingError: the signals have different lengths or abscissas.
+        BudgetError: resampling would give too many values.
     """
     if not mapping.channels:
         raise ConfigError(_unassigned(source))
@@ -120,8 +123,15 @@ def convert(
     followed: dict[str, Real] = {}
     for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
         if isinstance(column, str):
-            if column not in source.signals or len(source.signals[column].values) != count:
-                raise ConfigError(f"{key}: {source.path} has no signal {column!r} of {count} values")
+            if column not in source.signals:
+                raise ConfigError(
+                    f"{key}: {source.path} has no signal {column!r}{did_you_mean(column, source.signals)}"
+                )
+            if len(source.signals[column].values) != count:
+                raise ConfigError(
+                    f"{key}: the signal {column!r} of {source.path} has {len(source.signals[column].values)} values, "
+                    f"but the channels have {count}"
+                )
             followed[key] = source.signals[column].values
     grid = uniform(source.path, abscissa, mapping, found, followed)
     rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
@@ -170,8 +180,7 @@ def _unassigned(source: ImportedSignals) -> str:
     if strange and len(strange) == len(source.signals):
         found = "; ".join(f"{name}: {one.kind}, {one.abscissa}" for name, one in strange.items())
         return f"{source.path} holds no time response: {found[:500]}"
-    left_out = "; ".join(f"{name}: {why}" for name, why in source.left_out.items())
-    rest = f"; left out: {left_out[:300]}" if left_out else ""
+    rest = f"; left out: {reasons(source.left_out)}" if source.left_out else ""
     return (
         f"{source.path}: the names of its signals do not tell which is which channel; it has: {known[:500]}{rest}. "
         f'Assign them: --channel laser="{example}" for the motion of the structure, --channel base=… for its base'
@@ -302,7 +311,10 @@ def _calibration(
         found = ("resolution", "skew") if given_rate else ("rate", "resolution", "skew")
         estimated[name] = tuple(key for key in found if key not in stated)
         if not rows["range_low"][place] < rows["range_high"][place]:
-            raise ConfigError(f"channels.{name}: range_low must be < range_high")
+            low, high = rows["range_low"][place], rows["range_high"][place]
+            raise ConfigError(
+                f"calibration of the channel {name}: range_low must be < range_high, got {low:g} and {high:g}"
+            )
     rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
     return rows, estimated
 
@@ -331,7 +343,7 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Ma
             )
     if "gap" in mapping.guessed and isinstance(mapping.gap, float):
         gap = f"{mapping.gap * 1e3:g} mm" if mapping.gap else "none (no sphere)"
-        said.append(f"gap {gap}, guessed from the file name; state another with --gap")
+        said.append(f"gap {gap}, guessed from the file name; state another with --gap, such as --gap 6mm")
     return mapping, said
 
 
@@ -353,7 +365,8 @@ def _commands(
             raise ConfigError(f"{drive.path} must have the columns `time` or `stamp_ns`, and `frequency`")
         amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
         if not np.all(np.isfinite(times)):
-            raise ConfigError(f"{drive.path}: a time is not a number")
+            wrong = int(np.argmin(np.isfinite(times)))
+            raise ConfigError(f"{drive.path}: time {wrong + 1} of {len(times)} is not a finite number")
         first = instants.start_ns + round((drive.begins_s - source.begins_s) * NS_PER_S)  # both count from one instant
         if drive.start_ns is not None and source.start_ns is not None:
             first = drive.start_ns

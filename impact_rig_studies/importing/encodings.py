@@ -32,7 +32,8 @@ SAMPLE = 4096
 def decode(content: bytes) -> tuple[str, str]:
     """Return the text of a file and the name of its encoding.
 
-    A byte order mark decides. Otherwise it is UTF-16 if the bytes look so, UTF-8 if they are valid, else cp1252.
+    A byte order mark decides. Without one it is UTF-16 if many of the first bytes are zero, else UTF-8 if all bytes are
+    valid in it, else cp1252, or Latin-1 if a byte has no meaning in cp1252.
     """
     for mark, name in MARKS:
         if content.startswith(mark):
@@ -53,6 +54,9 @@ def decode(content: bytes) -> tuple[str, str]:
 
 
 def split_lines(text: str) -> list[str]:
-    """Return the lines of a text, separated only at line feeds and carriage returns, and not at other characters."""
+    """Return the lines of a text without their ends, which are line feeds, carriage returns, or both, and nothing else.
+
+    A last empty line is dropped.
+    """
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

@@ -30,12 +30,19 @@ _NO_SPHERE = re.compile(
 
 
 def frequency_hz(stem: str) -> float | None:
-    """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`; None if unclear."""
+    """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`.
+
+    It is None if the name has no frequency above 0, or several that differ. One after `fs` or `rate` does not count.
+    """
     return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:
-    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`; None if unclear."""
+    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`.
+
+    Lengths next to a word such as `gap` take precedence over others. It is None if there is no length in mm or µm, or
+    if several differ.
+    """
     if _NO_SPHERE.search(stem):
         return 0.0
     lengths = list(_LENGTH.finditer(stem))

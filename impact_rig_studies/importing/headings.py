@@ -87,7 +87,10 @@ def _time_suffix(name: str) -> str | None:
 
 
 def rate_hz(name: str, value: float) -> float | None:
-    """Return the sampling rate [Hz] that a number with a name such as `fs` or `dt` states; None for other names."""
+    """Return the sampling rate [Hz] that a number with a name such as `fs [kHz]` or `dt_ms` states.
+
+    It is None for other names, for a unit of another quantity, and for a value that is not finite and above 0.
+    """
     plain, unit = split_unit(name)
     match = _UNIT_SUFFIX.fullmatch(plain[:80])
     if match and not unit:
@@ -109,7 +112,10 @@ def time_unit(name: str, unit: str) -> str:
 
 
 def split_unit(heading: str) -> tuple[str, str]:
-    """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`."""
+    """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`.
+
+    The unit is empty if there is none. A unit after an underscore remains part of the name.
+    """
     text = heading.strip()
     run = _RUN.fullmatch(text[:120])
     name, unit = _bracketed(run[1] if run else text)
@@ -206,7 +212,8 @@ def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None 
     """Return the sampling rate that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
     The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
-    a unit, the name does. Decimal sign and delimiter are those of the table.
+    a unit, the name does. Decimal sign and delimiter are those of the table. Of statements that differ by at most 5 %,
+    the first counts.
     """
     texts = (_REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300])) for line in lines)
     matches = itertools.islice((match for text in texts for match in _STATED.finditer(text)), MOST_STATED)

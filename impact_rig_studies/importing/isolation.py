@@ -46,6 +46,8 @@ def run(
 ) -> ImportedSignals:
     """Run a reader in a child process with limited memory and time, and return the signals that it read.
 
+    The environment variable IMPACT_RIG_BUDGET raises both limits.
+
     Args:
         path: the file, for messages.
         what: its format, for messages.
@@ -54,11 +56,12 @@ def run(
         prepare: function that imports the modules of the reader before the process is forked.
 
     Raises:
-        RecordingError: the reader rejects the file, fails, crashes, or exceeds memory or time.
-        BudgetError: the reader rejects the file as too large.
+        RecordingError: a library is missing, or the reader rejects the file, fails, crashes, or exceeds memory or time.
+        BudgetError: the reader rejects the file because it claims more content than `limits` allow.
     """
     prepare()
     seconds = (LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor()
+    is_late = False
     source, sink = os.pipe()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # about threads of libraries, which the child does not use
@@ -70,16 +73,22 @@ def run(
     try:
         received = _receive(source, time.monotonic() + 4.0 * seconds)
     except TimeoutError:
-        received = b""
+        received, is_late = b"", True
         os.kill(child, signal.SIGKILL)
     finally:
         os.close(source)
         status = os.waitpid(child, 0)[1]
     head, _, numbers = received.partition(b"\n")
     if not head:
-        if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
-            raise RecordingError(f"{path} takes longer than {seconds:.0f} s to read: it may be damaged or malicious")
-        raise RecordingError(f"{path} is damaged: the library that reads it crashed")
+        ended_by = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+        if is_late or ended_by == signal.SIGXCPU:
+            raise RecordingError(
+                f"{path} takes longer to read than {seconds:.0f} s of computing time or {4.0 * seconds:.0f} s in all, "
+                f"the limits for its size; if you trust it, set the environment variable {budget.VARIABLE}=N to allow "
+                "N times as much"
+            )
+        how = f" ({signal.strsignal(ended_by)})" if ended_by else ""
+        raise RecordingError(f"{path} cannot be read: the process that reads it as {what} crashed{how}; is it damaged?")
     reply: dict[str, Any] = json.loads(head)
     if _REFUSED in reply:
         kind = budget.BudgetError if reply["budget"] else RecordingError
@@ -87,8 +96,8 @@ def run(
         raise kind(message if str(path) in message else f"{path}: {message}")
     if _MEMORY in reply:
         raise RecordingError(
-            f"{path} needs more memory to read than is allowed for a file of {file_bytes} bytes: it may be damaged or "
-            "malicious"
+            f"{path} needs more memory to read than is allowed for a file of {file_bytes} bytes; if you trust it, "
+            f"set the environment variable {budget.VARIABLE}=N to allow N times as much"
         )
     if _DAMAGED in reply:
         raise RecordingError(f"{path} cannot be read as {what}: {str(reply[_DAMAGED])[:300]}")

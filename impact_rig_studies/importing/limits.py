@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Limits of memory and content for imported files, so that a damaged or malicious one cannot fill the memory."""
+"""Limits of memory and content for imported files, so that a damaged or malicious one cannot fill the memory.
+
+The environment variable IMPACT_RIG_BUDGET raises all of them.
+"""
 
 from __future__ import annotations
 

@@ -57,17 +57,25 @@ class Channel:
     def to_si(self, name: str) -> tuple[float, str]:
         """Return the factor that converts values of the signal to SI for the channel `name`, and the SI unit.
 
+        `scale`, `sign` and `offset` are not part of the factor.
+
         Raises:
             ConfigError: the unit or the sensitivity is unknown, or belongs to another quantity.
+            RecordingError: the unit is not an ordinary SI unit, and `pint` is not installed.
         """
         allowed = UNITS[name]
         if self.sensitivity:
-            found = Sensitivity.parse(self.sensitivity)
             volts = unit_factor(self.unit or "V", "V")
-            if found is None or found.unit not in allowed or volts is None:
+            if volts is None:
                 raise ConfigError(
-                    f"channels.{name}.sensitivity must be like `100 mV/{USUAL[name]}`, for a signal in V, "
-                    f"got {self.sensitivity!r} for a signal in {self.unit!r}"
+                    f"channels.{name}.unit must be V, mV or another unit of voltage, because the channel has a "
+                    f"sensitivity ({self.sensitivity}); got {self.unit!r}"
+                )
+            found = Sensitivity.parse(self.sensitivity)
+            if found is None or found.unit not in allowed:
+                raise ConfigError(
+                    f"channels.{name}.sensitivity must be a voltage per unit of {' or '.join(allowed)}, like "
+                    f"`100 mV/{USUAL[name]}`, got {self.sensitivity!r}"
                 )
             return volts / found.volts, found.unit
         if not self.unit:
@@ -90,12 +98,12 @@ class Channel:
 
 def _above_zero(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 < value < math.inf:
-        raise ConfigError(f"frequency must be above 0 Hz, got {value:g}")
+        raise ConfigError(f"frequency must be finite and above 0 Hz, got {value:g}")
 
 
 def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 <= value < math.inf:
-        raise ConfigError(f"gap must be 0 (no sphere) or more, got {value * 1e3:g} mm")
+        raise ConfigError(f"gap must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm")
 
 
 @attrs.frozen(kw_only=True)
@@ -116,7 +124,9 @@ class Mapping:
 
 
 def refined(mapping: Mapping, text: str) -> Mapping:
-    """Return a mapping in which a YAML text, as of the option `--mapping`, replaces what it states.
+    """Return a mapping in which a YAML text, as of the option `--mapping`, replaces what it states; the rest stays.
+
+    A channel that is null in the text is removed.
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column
@@ -130,7 +140,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
     try:
         content = budget.load_yaml(text, MAPPING_CHARACTERS)
     except budget.PlainYamlError as error:
-        raise ConfigError(f"the mapping is no YAML: {error}") from error
+        raise ConfigError(f"the mapping is not plain YAML: {error}") from error
     given = _section("the mapping", content)
     _refuse_unknown(
         "", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels")
@@ -138,7 +148,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
     channels = dict(mapping.channels)
     for name, value in _section("channels", given.get("channels")).items():
         if name not in CHANNELS:
-            raise ConfigError(f"channels: unknown channel {name}; there are {', '.join(CHANNELS)}")
+            raise ConfigError(f"unknown channel channels.{name}; the channels are {', '.join(CHANNELS)}")
         if value is None:
             channels.pop(name, None)
         else:
@@ -163,7 +173,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
 
 
 def as_yaml(mapping: Mapping) -> str:
-    """Return a mapping as a YAML text, from which `refined` restores it."""
+    """Return a mapping as a YAML text, from which `refined` restores it, except for `guessed`."""
     content: dict[str, object] = {
         "channels": {
             name: {
@@ -200,7 +210,7 @@ def _channel(name: str, given: AnyMapping[str, object], known: Channel | None) -
     figures = {k: _number(f"channels.{name}.{k}", given[k]) for k in CALIBRATION if k in given and k not in _OWN}
     if known is None:
         if "column" not in values:
-            raise ConfigError(f"channels.{name}.column is missing: the name of a signal in the file")
+            raise ConfigError(f"channels.{name}.column, the name of a signal in the file, is missing")
         known = Channel(column=str(values["column"]))
     return attrs.evolve(known, **values, calibration={**known.calibration, **figures})  # type: ignore[arg-type]
 
@@ -209,7 +219,7 @@ def _section(key: str, value: object) -> dict[str, object]:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise ConfigError(f"{key} must be a mapping, got {_text(value)[:60]!r}")
+        raise ConfigError(f"{key} must be `key: value` pairs, got {_text(value)[:60]!r}")
     return {str(name): one for name, one in value.items()}
 
 

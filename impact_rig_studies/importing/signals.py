@@ -57,15 +57,10 @@ class Abscissa:
     kind: AbscissaKind = AbscissaKind.NONE
     unit: str = ""  # unit in the file; empty if the file names none
     start: float = 0.0  # first value
-    step: float | None = None  # spacing of the values; None if they are not even, or it is unknown
-    values: Real | None = None  # values relative to the first, shape (n,); None if they are even, or unknown
+    step: float | None = None  # spacing that the file states for all values; None if it states none
+    values: Real | None = None  # values that the file lists, relative to the first, shape (n,); None if it lists none
     resolution: float = 0.0  # half of the last digit of step or values; 0 if they are exact
     note: str = ""  # assumption of the reader, as text; empty if none
-
-    @property
-    def is_even(self) -> bool:
-        """Evenness of the abscissa: true if the file states one spacing for all values."""
-        return self.step is not None
 
     def __str__(self) -> str:
         """Return a description for the user, such as `time from 0 s, step 0.001 s`."""
@@ -130,25 +125,28 @@ class ImportedSignals:
         starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)
         return next(starts, 0.0)
 
-    @property
-    def time_s(self) -> Real | None:
-        """Listed times of the first signal since its first sample [s]; None if it has none."""
-        return next((one.time_s for one in self.signals.values()), None)
+
+def reasons(left_out: Mapping[str, str]) -> str:
+    """Return the parts that are left out of a file, with the reasons, for a message; cut after 300 characters."""
+    return "; ".join(f"{name}: {why}" for name, why in left_out.items())[:300]
 
 
 class UniqueNames:
-    """Generator of unique names for signals, fast even for thousands of equal names, that avoids `reserved` ones."""
+    """Generator of unique names for signals, fast even for thousands of equal names.
+
+    Args:
+        reserved: names that it never returns.
+    """
 
     def __init__(self, reserved: tuple[str, ...] = ()) -> None:
         self._taken = set(reserved)
         self._counts: dict[str, int] = {}
 
-    def unique(self, name: str, place: int | None = None) -> str:
-        """Return the name, or if it is already used, the name with a number appended; `place` is tried first."""
+    def unique(self, name: str) -> str:
+        """Return the name, or with a number appended (`name_2`, `name_3`, ...) if it is reserved or was returned."""
         candidate = name
         while candidate in self._taken:
-            number = self._counts.get(name, (place if place is not None else 2) - 1) + 1
-            self._counts[name] = number
-            candidate = f"{name}_{number}"
+            self._counts[name] = self._counts.get(name, 1) + 1
+            candidate = f"{name}_{self._counts[name]}"
         self._taken.add(candidate)
         return candidate

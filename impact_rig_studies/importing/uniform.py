@@ -70,7 +70,8 @@ def aligned(
     These are the times of the signal with the smallest period, from the latest start to the earliest end of all.
 
     Raises:
-        ConfigError: a signal has no times, scans are missing, or the times of the signals do not overlap.
+        ConfigError: a signal has no times or misses scans, its times do not increase, a value is not finite, or the
+            signals have fewer than two times in common.
     """
     times: dict[str, Real] = {}
     for name, one in abscissas.items():
@@ -82,17 +83,32 @@ def aligned(
         listed = one.values if one.values is not None else np.arange(len(found[name])) * (one.step or 0.0)
         times[name] = np.asarray(one.start + listed)
         steps = np.diff(times[name])
-        if not len(steps) or not float(steps.min()) > 0.0 or float(steps.max()) > HOLE * float(np.median(steps)):
-            raise ConfigError(f"{path}: {name} cannot be resampled: its times have holes, or do not increase")
-        if not np.all(np.isfinite(found[name])):
-            raise ConfigError(f"{path}: {name} cannot be resampled: a value is not a finite number")
+        increase = len(steps) > 0 and float(steps.min()) > 0.0
+        if not increase or float(steps.max()) > HOLE * float(np.median(steps)):
+            raise ConfigError(
+                f"{path}: {name} cannot be resampled: its times {'have holes' if increase else 'do not increase'}; "
+                f"leave it out (--channel {name}=)"
+            )
+        _require_finite(path, name, found[name])
     densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))
     begin, end = max(one[0] for one in times.values()), min(one[-1] for one in times.values())
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
-        raise ConfigError(f"{path}: the times of the signals of {', '.join(times)} do not overlap")
+        raise ConfigError(
+            f"{path}: the signals of {', '.join(times)} have fewer than {FEWEST} times in common; leave one out "
+            "(--channel NAME=)"
+        )
     there = {name: _spline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there
+
+
+def _require_finite(path: Path, name: str, values: Real) -> None:
+    if not np.all(np.isfinite(values)):
+        wrong = int(np.argmin(np.isfinite(values)))
+        raise ConfigError(
+            f"{path}: {name} cannot be resampled: value {wrong + 1} is not a finite number; leave it out "
+            f"(--channel {name}=)"
+        )
 
 
 def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
@@ -138,8 +154,10 @@ def uniform(
         followed: signals that give frequency or gap, shape (n,) each.
 
     Raises:
-        ConfigError: neither times nor a rate are known, or the times are not uniform.
-        RecordingError: times and values differ in number.
+        ConfigError: neither times nor a rate are known, the times do not increase or are not uniform, or a rate is out
+            of range.
+        RecordingError: times and values differ in number, or there are fewer than 2 values.
+        BudgetError: resampling would give too many values.
     """
     count = len(next(iter(found.values())))
     if count < 2:
@@ -153,14 +171,15 @@ def uniform(
         rate, index = _measured(path, times, resampled=mapping.resample_hz is not None)
     if not float(times[-1]) <= LONGEST_S:
         raise ConfigError(
-            f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g} s; is their unit right?"
+            f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g} s; is the unit of the times, or "
+            "the given rate, right?"
         )
     if mapping.resample_hz is not None:
         return _resampled(path, times, found, followed, float(rate), mapping.resample_hz)
     if not LEAST_HZ <= rate <= MOST_HZ:
         raise ConfigError(
-            f"{path}: its rate of {rate:.6g} scans per second is outside {LEAST_HZ:g} to {MOST_HZ:g}; "
-            "if the file errs, give the rate (--scan-rate HZ)"
+            f"{path}: a rate of {rate:.6g} scans per second is outside {LEAST_HZ:g} to {MOST_HZ:g}; "
+            "if that is wrong, give the true one (--scan-rate HZ)"
         )
     return Grid(rate, index, found, followed)
 
@@ -169,7 +188,10 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
     """Return (listed times [s], None), or (None, rate [Hz]): the mapping's, or the file's if its times agree."""
     if mapping.rate_hz is not None:
         if not 0.0 < mapping.rate_hz <= MOST_HZ:
-            raise ConfigError(f"rate_hz must be > 0 and <= {MOST_HZ:g}, got {mapping.rate_hz:g}")
+            raise ConfigError(
+                f"the scan rate (--scan-rate, or rate_hz in --mapping) must be > 0 and <= {MOST_HZ:g} Hz, got "
+                f"{mapping.rate_hz:g}"
+            )
         whole = round(mapping.rate_hz)
         return None, whole if whole == mapping.rate_hz else mapping.rate_hz
     if abscissa.kind is AbscissaKind.NONE:
@@ -204,9 +226,9 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
         ConfigError: the times do not increase, or are not uniform and not to be resampled.
     """
     count = len(times)
-    if count < 2 or not np.all(np.isfinite(times)):
-        place = int(np.argmin(np.isfinite(times))) if count > 1 else 0
-        raise ConfigError(f"{path}: times must increase, and do not at value {place + 1} of {count}")
+    if not np.all(np.isfinite(times)):
+        place = int(np.argmin(np.isfinite(times)))
+        raise ConfigError(f"{path}: time {place + 1} of {count} is not a finite number")
     steps = np.diff(times)
     digit = 0.0 if _mostly_equal(steps) else last_digit(times)
     span = float(times[-1])
@@ -276,16 +298,14 @@ def _resampled(
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(
-            f"{path}: the rate for resampling must be at least that of the file, {exact:.6g} Hz, and at most "
-            f"{MOST_HZ:g} Hz, got {rate}"
+            f"{path}: the rate for resampling (--resample) must be at least that of the file, {exact:.6g} Hz, and at "
+            f"most {MOST_HZ:g} Hz, got {rate}"
         )
     given = sum(map(len, found.values()))
     most = min(VALUES, max(RESAMPLED_VALUES, RESAMPLED_PER_VALUE * given))
     budget.allow("values after resampling", float(times[-1]) * rate * len(found), most)
     for name, values in found.items():
-        if not np.all(np.isfinite(values)):
-            wrong = int(np.argmin(np.isfinite(values)))
-            raise ConfigError(f"{path}: {name} cannot be resampled: value {wrong + 1} is not a finite number")
+        _require_finite(path, name, values)
     index = np.arange(int(times[-1] * rate) + 1, dtype=np.int64)
     place = np.searchsorted(times, (index + 1e-3) / rate, side="right") - 1  # a time may be rounded up
     cuts = [0, *(np.flatnonzero(np.diff(times) * exact > HOLE) + 1).tolist(), len(times)]

@@ -113,10 +113,10 @@ _FACTOR = re.compile(r"([*/]?)([^\W\d]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
 
 
 def unit_factor(unit: str, wanted: str) -> float | None:
-    """Return the factor that converts values in `unit` to `wanted`; None if it is unknown or of another quantity.
+    """Return the factor that converts values in `unit` to `wanted`; None if `unit` is unknown or of another quantity.
 
     Raises:
-        RecordingError: the unit is not an ordinary SI unit, and `pint` is not installed.
+        RecordingError: this module does not know the unit, and `pint` is not installed.
     """
     if unit == wanted:
         return 1.0
@@ -130,7 +130,10 @@ def unit_factor(unit: str, wanted: str) -> float | None:
 
 
 def quantity(unit: str) -> str | None:
-    """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for any other."""
+    """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for any other.
+
+    It is also None for a unit that only `pint` knows if `pint` is not installed.
+    """
     size = _parse(unit)
     if size is not None:
         return next((name for name, powers in _QUANTITIES.items() if powers == size.powers), None)
@@ -148,7 +151,7 @@ def is_unit(text: str) -> bool:
 
 
 def doubt(unit: str) -> str:
-    """Return which meaning of an ambiguous unit is assumed, for the user; empty if the unit has only one."""
+    """Return which meaning of an ambiguous unit such as `G` is assumed, for the user; empty for any other unit."""
     return _DOUBTFUL.get(_bare(unit), "")
 
 
@@ -220,7 +223,7 @@ def _by_pint(unit: str, wanted: str) -> float | None:
         import pint  # noqa: PLC0415  # of an extra
     except ImportError as error:
         raise RecordingError(
-            f"the unit {unit!r} is not an ordinary SI unit; to convert it, install pint: pip install "
+            f"the unit {unit!r} is not known without pint; to convert it, install pint: pip install "
             "'impact_rig[import]'"
         ) from error
     registry = pint.application_registry

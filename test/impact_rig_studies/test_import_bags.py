@@ -203,7 +203,7 @@ def test_blocks_of_scans(tmp_path: Path, storage: str, rows: int, timed: bool) -
 
 
 def test_a_cloud_of_points_is_no_series(tmp_path: Path) -> None:
-    with pytest.raises(ImpactRigError, match="no message of numbers: /daq: a point cloud without a column `time`"):
+    with pytest.raises(ImpactRigError, match="no signal of numbers: /daq: a point cloud without a column `time`"):
         readers.read(bag(tmp_path, "mcap", clouds(50, timed=False)))
 
 

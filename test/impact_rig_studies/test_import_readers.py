@@ -57,8 +57,9 @@ def text_table(content: bytes | str) -> ImportedSignals:
 
 
 def since_start(found: ImportedSignals) -> Any:
-    assert found.time_s is not None
-    return found.time_s
+    (first, *_) = found.signals.values()
+    assert first.time_s is not None
+    return first.time_s
 
 
 # --- text tables: decimal sign × separator × code page × times
@@ -478,7 +479,7 @@ def test_abscissas_of_universal_files(tmp_path: Path, unit: str, factor: float, 
         "abscissa_inc": 1 / RATE_HZ / factor,
     }  # fmt: skip
     one = read_uff(tmp_path, uff(tmp_path, **changes)).signals["base"]
-    assert one.abscissa.is_even == bool(spacing)
+    assert (one.abscissa.step is not None) == bool(spacing)
     rate = one.rate_hz if spacing else 1.0 / np.median(np.diff(one.time_s))
     assert rate == pytest.approx(RATE_HZ, rel=1e-4)
 
@@ -813,7 +814,7 @@ def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(readers.isolation, "LIMIT_S", 0.0)
     monkeypatch.setitem(readers.FORMATS, ".npz", readers.Format("a file", endless))
     (tmp_path / "own.npz").write_bytes(b"PK")
-    with pytest.raises(ImpactRigError, match="takes longer than"):
+    with pytest.raises(ImpactRigError, match="takes longer to read than 0 s of computing time"):
         readers.read(tmp_path / "own.npz")
 
 

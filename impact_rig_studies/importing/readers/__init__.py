@@ -43,7 +43,7 @@ from impact_rig_studies.importing.readers import (
     universal,
     wav,
 )
-from impact_rig_studies.importing.signals import ImportedSignals
+from impact_rig_studies.importing.signals import ImportedSignals, reasons
 
 
 @attrs.frozen
@@ -113,8 +113,9 @@ def read(path: Path) -> ImportedSignals:
     only an error.
 
     Raises:
-        RecordingError: the suffix is unknown, a library is missing, or the file is damaged, empty or of another format.
-        BudgetError: the file is larger than the budget.
+        RecordingError: the suffix is unknown, a library is missing, or the file cannot be read, is damaged, of another
+            format, or has no numbers.
+        BudgetError: the file is larger than `FILE_BYTES`, or claims more content than its size can hold.
     """
     try:
         bag_bytes = _bag_bytes(path) if bag.is_bag(path) else None
@@ -126,15 +127,15 @@ def read(path: Path) -> ImportedSignals:
         content = b"" if bag_bytes else files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    if bag_bytes:  # its library reads it piece by piece
-        return isolation.run(path, BAG.name, bag_bytes, lambda: _read(BAG, path, bag_bytes), BAG.load)
-    if not content:
+    if not bag_bytes and not content:
         raise RecordingError(f"{path} is empty")
-    chosen = format_of(path, content)
-    found = isolation.run(path, chosen.name, len(content), lambda: _read(chosen, path, content), chosen.load)
+    chosen = BAG if bag_bytes else format_of(path, content)
+    given = bag_bytes or content  # the library of a bag reads it piece by piece
+    found = isolation.run(path, chosen.name, bag_bytes or len(content), lambda: _read(chosen, path, given), chosen.load)
     if not any(len(one.values) for one in found.signals.values()) and not found.texts:
-        reasons = "; ".join(f"{name}: {why}" for name, why in found.left_out.items())[:300]
-        raise RecordingError(f"{path} holds no column of numbers{': ' + reasons if reasons else ''}")
+        raise RecordingError(
+            f"{path} holds no signal of numbers{': ' if found.left_out else ''}{reasons(found.left_out)}"
+        )
     return found
 
 

@@ -28,7 +28,6 @@ from typing import Any  # messages of types that a bag defines itself
 
 import numpy as np
 
-from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing.limits import allow_columns, allow_values
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal, UniqueNames
@@ -51,7 +50,7 @@ MOST_ELEMENTS = 32  # longest array in a message; each element is a signal
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a bag by its suffix, or a directory that contains a bag."""
+    """Return whether a path is a file with a suffix of bags, or a directory with such a file or a `metadata.yaml`."""
     if path.is_dir():
         return any(one.name == "metadata.yaml" or one.suffix in SUFFIXES for one in path.iterdir())
     return path.suffix.lower() in SUFFIXES
@@ -60,8 +59,11 @@ def is_bag(path: Path) -> bool:
 def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
     """Read the numbers in the messages of a bag as signals, one per topic and field.
 
+    A topic is left out, with the reason for the user, if a message of it cannot be decoded or differs from the first in
+    its fields. The result is without signals if no message has numbers.
+
     Raises:
-        RecordingError: no message contains numbers with an instant.
+        BudgetError: the messages have more numbers than a bag of `file_bytes` bytes may contain.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # of an extra, loaded with the library
 
@@ -107,9 +109,6 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
                 np.frombuffer(values, np.float64), one.units.get(field, ""), times, origin=f"{topic} ({kind})"
             )
     allow_columns(len(signals))
-    if not signals:
-        reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:300]
-        raise RecordingError(f"{path} holds no message of numbers{': ' + reasons if reasons else ''}")
     return ImportedSignals(path, "ROS bag", signals, start_ns, left_out=left_out, remarks=tuple(remarks))
 
 

@@ -65,7 +65,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read a text table, or a LabVIEW measurement file with another suffix.
 
     Raises:
-        RecordingError: no row of numbers is within the first `HEADER_LINES` lines, or a row does not fit the first one.
+        RecordingError: more than `HEADER_LINES` lines are before the first row of numbers, there is no such row, or a
+            later row does not fit the first one; the message names its line.
+        BudgetError: the table has more values than a file of this size may contain.
     """
     text, encoding = decode(content)
     lines = split_lines(text)
@@ -74,7 +76,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     layout = find_layout(lines)
     if layout is None:
         raise RecordingError(
-            f"{path} has no row of numbers within its first {HEADER_LINES} lines{_seen_instead(lines)}"
+            f"{path}: none of its first {HEADER_LINES + 1} lines is a row of numbers{_seen_instead(lines)}"
         )
     names, units, others = _headings(lines[: layout.first], layout)
     end = _end(lines, layout)
@@ -97,7 +99,10 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def find_layout(lines: Sequence[str]) -> Layout | None:
-    """Return the structure that the lines of a text table most likely have; None if they contain no rows of numbers."""
+    """Return the structure that the lines of a text table most likely have.
+
+    It is None if there is no row of numbers, or if more than `HEADER_LINES` lines are before the first one.
+    """
     sample = _sample(lines)
     best: tuple[int, int, int] = (0, 0, 0)
     layout: Layout | None = None
@@ -270,8 +275,11 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the numbers of lines that are comments.
 
+    Lines count from 0. A column holds floats, integers if these are 2^53 or larger, or texts for words and times.
+
     Raises:
-        RecordingError: a row does not fit the layout.
+        RecordingError: a row has another number of cells, or a cell of a column of numbers is no number; the message
+            names the line, counted from 1.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
@@ -286,7 +294,7 @@ def read_rows(
             columns.append(_remarks(part, layout))
             continue
         if {one.dtype.kind for one in part if one.size} > {"U"}:
-            raise RecordingError(f"{path}: column {j + 1} mixes numbers and words")
+            raise RecordingError(f"{path}: column {j + 1} has numbers in some rows and words or times in others")
         columns.append(np.concatenate(part) if part else np.zeros(0))
     return columns, skipped
 

@@ -29,13 +29,12 @@ from impact_rig.errors import RecordingError
 from impact_rig_studies.importing.limits import COLUMNS, allow_columns, allow_values
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-DEEPEST = 8
 CHUNKS_AT_ONCE = 4096  # of a dataset; the library takes about 2 kB for each chunk of one request
 PLACES = (0, 512, 1024, 2048)  # offsets at which the content of a file may begin
 
 
 def is_hdf5(content: bytes) -> bool:
-    """Return whether a file is HDF5."""
+    """Return whether the content of a file is HDF5, by the signature at one of the offsets in `PLACES`."""
     return any(content[place : place + len(SIGNATURE)] == SIGNATURE for place in PLACES)
 
 
@@ -53,7 +52,10 @@ class Hdf5Tree:
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        """Yield names and objects in a group; links are left out."""
+        """Yield names and objects of the first `COLUMNS` members of a group; links are not followed.
+
+        What is not yielded is noted in `left_out`.
+        """
         for number, name in enumerate(group):
             if number >= COLUMNS:
                 self.left_out[f"{group.name}"] = f"members after the first {COLUMNS}"
@@ -85,7 +87,11 @@ class Hdf5Tree:
         return _whole(dataset)
 
     def texts(self, name: str, dataset: Any) -> list[str]:
-        """Return the texts in a dataset as a list."""
+        """Return the texts in a dataset as a list, which is empty for an empty dataset.
+
+        Raises:
+            RecordingError, BudgetError: as `array`.
+        """
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()
         allow_columns(len(words))

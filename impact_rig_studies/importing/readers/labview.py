@@ -81,6 +81,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
     Raises:
         RecordingError: the file has another format, or no rows of numbers.
+        BudgetError: it has more values than a file of its size may contain.
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):

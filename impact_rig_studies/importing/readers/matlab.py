@@ -27,7 +27,7 @@ from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.headings import is_time_name, rate_hz
 from impact_rig_studies.importing.limits import COLUMNS, allow_columns
 from impact_rig_studies.importing.readers import hdf5
-from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames
+from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames, reasons
 
 CONVERSIONS = {
     "timetable": "S = table2struct(timetable2table(X), 'ToScalar', true); S.time = seconds(X.Properties.RowTimes); "
@@ -43,7 +43,11 @@ Tables = dict[str, dict[str, Any]]  # columns by name, by the path of their stru
 
 
 def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the arrays in a MATLAB file of version 5 to 7; `library` is `scipy.io`."""
+    """Read the arrays in a MATLAB file of version 5 to 7 as signals; `library` is `scipy.io`.
+
+    Raises:
+        RecordingError: there is no vector of numbers, although the file has variables.
+    """
     found = library.loadmat(io.BytesIO(content), struct_as_record=True)
     left_out: dict[str, str] = {}
     tables: Tables = {}
@@ -54,7 +58,12 @@ def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
 
 def read_7_3(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the arrays in a MATLAB file of version 7.3, which is HDF5; `library` is h5py."""
+    """Read the arrays in a MATLAB file of version 7.3, which is HDF5, as signals; `library` is h5py.
+
+    Raises:
+        RecordingError: as `read_5`, or an array is kept outside the file.
+        BudgetError: the arrays have more values than a file of this size may contain.
+    """
     tree = hdf5.Hdf5Tree(library, len(content))
     tables: Tables = {}
     with tree.open(content) as file:
@@ -162,8 +171,7 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
             left_out[f"{where}.{name}" if where else name] = why
         texts |= part.texts
     if not signals and left_out:
-        reasons = "; ".join(f"{name} is {why}" for name, why in left_out.items())
-        raise RecordingError(f"{path} holds no vector of numbers: {reasons[:400]}")
+        raise RecordingError(f"{path} holds no vector of numbers: {reasons(left_out)}")
     start_ns = next((part.start_ns for part in parts.values() if part.start_ns is not None), None)
     remarks = tuple(dict.fromkeys(one for part in parts.values() for one in part.remarks))
     return ImportedSignals(path, file_format, signals, start_ns, texts, left_out, remarks)

@@ -32,6 +32,8 @@ from impact_rig_studies.importing.signals import ImportedSignals
 def read(path: Path, content: bytes) -> ImportedSignals:
     """Read all arrays of a NumPy archive; their sizes are checked before they are decompressed.
 
+    Each field of a structured array becomes a column. Arrays of Python objects are left out.
+
     Raises:
         RecordingError: an array is shorter than its header claims.
         BudgetError: the content is larger than a file of this size may contain.
@@ -54,7 +56,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
                 continue
             if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
                 raise RecordingError(
-                    f"{path}: {member.filename} has {member.file_size} bytes and claims {shape} of {dtype}"
+                    f"{path}: {member.filename} has {member.file_size} bytes, too few for the shape {shape} of {dtype} "
+                    "in its header; it is damaged"
                 )
             with archive.open(member) as stream:
                 array = np.lib.format.read_array(stream, allow_pickle=False)

@@ -33,10 +33,14 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all streams of a file; if there are several, only names of the longest one are without a prefix.
+    """Read all channels of all streams of a file as signals.
+
+    A signal is named by its channel's comment, else by its node. If there are several streams, the name of the stream
+    precedes it, except in the longest one.
 
     Raises:
-        RecordingError: the file is not one of Rattlesnake's.
+        RecordingError: the file is not one of Rattlesnake's, or its rate is not finite and above 0.
+        BudgetError: the streams have more values than a file of this size may contain.
     """
     if content[:3] == b"CDF":
         raise RecordingError(
@@ -48,12 +52,11 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         streams = {name: one for name, one in members.items() if STREAM.fullmatch(name) and hasattr(one, "shape")}
         rate = attribute(file, "sample_rate")
         if not streams or rate is None:
-            raise RecordingError(
-                f"{path} has no variable time_data or no attribute sample_rate: Rattlesnake writes both"
-            )
+            missing = "attribute sample_rate" if streams else "variable time_data"
+            raise RecordingError(f"{path} is not a file that Rattlesnake streamed: it has no {missing}")
         rate_hz = float(rate)
         if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-            raise RecordingError(f"{path}: its sample_rate is {rate_hz:g} Hz")
+            raise RecordingError(f"{path}: its attribute sample_rate must be finite and > 0 Hz, got {rate_hz:g}")
         table = dict(tree.members(members["channels"])) if "channels" in members else {}
         longest = max(streams, key=lambda name: streams[name].shape[-1] if streams[name].shape else 0)
         signals: dict[str, Signal] = {}

@@ -22,7 +22,6 @@ from types import ModuleType
 import attrs
 import numpy as np
 
-from impact_rig.errors import RecordingError
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing import headings, units
 from impact_rig_studies.importing.limits import allow_columns, allow_values
@@ -43,10 +42,10 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the channels of all groups of a TDMS file as signals.
+    """Read the channels of numbers in all groups of a TDMS file as signals; there may be none.
 
     Raises:
-        RecordingError: the file has no channel of numbers.
+        BudgetError: the file claims more values than one of its size may contain.
     """
     file = library.TdmsFile.read_metadata(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -91,9 +90,6 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
                 abscissa = attrs.evolve(abscissa, start=abscissa.start + (own_ns - start_ns) / NS_PER_S)
             name = plain if counts[channel.name] == 1 or not several else f"{group.name} {plain}"
             signals[names.unique(name)] = Signal(values.astype(np.float64), unit or own, abscissa, kind, origin)
-    if not signals:
-        reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())[:200]
-        raise RecordingError(f"{path} holds no channel of numbers{': ' + reasons if reasons else ''}")
     return ImportedSignals(path, "TDMS", signals, start_ns, left_out=left_out)
 
 

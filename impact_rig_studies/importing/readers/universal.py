@@ -32,6 +32,7 @@ from impact_rig_studies.importing.signals import (
     Signal,
     SignalKind,
     UniqueNames,
+    reasons,
 )
 
 FUNCTIONS = {
@@ -57,7 +58,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the time responses of a universal file; all other datasets are left out, with the reason for the user.
 
     Raises:
-        RecordingError: there is no time response, or the file is truncated.
+        RecordingError: there is no time response; the message names the reasons.
+        BudgetError: the datasets have more values than a file of this size may contain.
     """
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
@@ -90,8 +92,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             allow_values(total, len(content))
             _add(one, data, number, system, signals, names, left_out)
     if not signals:
-        reasons = "; ".join(f"{name}: {why}" for name, why in left_out.items())
-        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1): {reasons[:300]}")
+        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1): {reasons(left_out)}")
     return ImportedSignals(path, "universal file", signals, left_out=left_out)
 
 

@@ -30,10 +30,13 @@ _UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # size of a chunk that was written to a stream
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read all channels of a WAV file; full scale is 1.
+    """Read all channels of a WAV file as signals `channel_0`, `channel_1`, ...; full scale is 1.
+
+    Of a file that ends early, the samples that are there are read, and what is missing is noted in `left_out`.
 
     Raises:
-        RecordingError: the file is not a WAV file, its header is damaged, or its samples are compressed.
+        RecordingError: the file is not a WAV file, its header is damaged, or its samples are neither PCM of up to 64
+            bits nor floating point of 32 or 64 bits.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
         raise RecordingError(f"{path} is not a WAV file: it does not begin with RIFF … WAVE")
