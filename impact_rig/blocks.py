@@ -60,7 +60,7 @@ class Column:
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:
-        """Return the numbers allowed in this column as text for an error message: `a whole number from 0 on`."""
+        """Return the bounds of a bounded column as text for an error message: `a whole number from 0 on`."""
         number = "a whole number" if self.whole else "a number"
         if self.least > -math.inf and self.most < math.inf:
             return f"{number} from {self.least:.10g} to {self.most:.17g}"
@@ -337,7 +337,7 @@ class Table:
 
 
 def joined(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """Return a copy of the rows of several arrays of one type, at least one, joined in order.
+    """Return the rows of several arrays of one type, joined in order in a new array; `parts` must not be empty.
 
     `numpy.concatenate` compares such types field by field in Python, which takes a hundred times longer.
     """

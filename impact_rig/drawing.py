@@ -239,7 +239,10 @@ class Drawn:
         return text.getvalue()
 
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
-        """Write the figure to a folder, one file per format, and its numbers, if any, as a CSV file."""
+        """Write the figure to a folder, one file `NAME.FORMAT` per format, and its numbers, if any, as `NAME.csv`.
+
+        Existing files are replaced.
+        """
         for kind in formats:
             with files.atomic_write(folder / f"{self.name}.{kind}") as file:
                 file.write(self.content(kind))
@@ -267,9 +270,10 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
 
 
 def plain_texts(figure: Figure) -> None:
-    """Change the texts of a figure so that none is a formula or command, or wider than the figure; call before layout.
+    """Change the texts of a figure so that none acts as a command or is wider than the figure; call before layout.
 
-    Titles, labels and legends may contain names from outside. The numbers at the axes, which matplotlib writes, stay.
+    Titles, labels and legends may contain names from outside. Only the project's own symbols, such as `$x_1$`, stay
+    formulas; long lines are wrapped. The numbers at the axes, which matplotlib writes, stay.
     """
     titles, labels, legends = [*figure.texts], [], [*figure.legends]
     for axis in figure.axes:

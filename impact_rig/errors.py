@@ -23,7 +23,7 @@ LONGEST_WORD = 100  # longest word that is compared: the time grows with its len
 
 
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
-    """Return a hint for the message about an unknown word.
+    """Return a hint for the message about an unknown word, as a text to append.
 
     It is `question` with the most similar known word in its braces, or `otherwise` if no known word is similar.
     """
@@ -34,7 +34,7 @@ def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mea
 class ImpactRigError(Exception):
     """Base class of all errors that this package raises on purpose.
 
-    The message is one line. It names the value, what is allowed and what to do.
+    The message names the value, what is allowed and what to do. It is one line, unless it quotes a log.
 
     Examples:
         >>> import impact_rig
@@ -64,7 +64,8 @@ class ConfigError(ImpactRigError, ValueError):
 class CommandError(ImpactRigError, ValueError):
     """A command was rejected; also a `ValueError`.
 
-    The message names the value and the allowed range. The shaker keeps its last valid state.
+    The message names the value and the allowed range, or the state of the rig that excludes the command. The shaker
+    keeps its last valid state.
 
     Examples:
         >>> import impact_rig
@@ -77,9 +78,9 @@ class CommandError(ImpactRigError, ValueError):
 
 
 class CodecError(ImpactRigError, ValueError):
-    """Bytes are not the message that they should be; also a `ValueError`.
+    """Bytes are not the ROS message that they should be, or a table cannot be encoded as one; also a `ValueError`.
 
-    The message names the part of the message and the reason.
+    The text of the error names the part of the message and the reason.
 
     Examples:
         >>> import impact_rig
@@ -107,9 +108,10 @@ class RecordingError(ImpactRigError, OSError):
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A process of a rig, analysis or recorder that this program uses has ended; also a `RuntimeError`.
+    """A rig, analysis or recorder that this program uses has ended, or was replaced; also a `RuntimeError`.
 
-    It cannot answer any request. The message names the process.
+    It cannot answer any request. The message names the process, with the end of its log, or the request that a rig
+    did not answer.
     """
 
 
@@ -121,7 +123,7 @@ class SimulationError(ImpactRigError, RuntimeError):
 
 
 def describe(error: BaseException) -> str:
-    """Return an unexpected error as one line for users: type, message, and the source line that raised it."""
+    """Return an unexpected error as text for users: type, message, and file and line that raised it, if known."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

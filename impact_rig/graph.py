@@ -49,8 +49,8 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
     Args:
         namespace: namespace of the rig node; `/left/rig` gives `left/rig/`.
-        given: configuration value `output.frame_prefix`. Unless empty, it is returned without leading slashes, which
-            tf2 does not accept; so `/` gives no prefix.
+        given: configuration value `output.frame_prefix`. Unless empty, it replaces the namespace: it is returned
+            without leading slashes, which tf2 does not accept, so `/` gives no prefix.
     """
     if given:
         return given.lstrip("/")
@@ -59,7 +59,7 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
 
 def clock_remapping(clock: str) -> tuple[str, str]:
-    """Return the remapping (from, to) by which a node follows the topic `clock` instead of `/clock`.
+    """Return the remapping (from, to) by which a node publishes or follows the topic `clock` instead of `/clock`.
 
     ROS has one global `/clock`, but the rig times of two rigs differ. With the relative name `clock`, each namespace
     has a clock of its own.
@@ -116,9 +116,9 @@ SERVICES = (
         "~/pause",
         SET_BOOL,
         "rig",
-        "true: pause rig time; answered when the peers have processed all published blocks. false: continue, "
-        "without the blocks that a silent peer missed; if there are other peers, without that peer until it "
-        "acknowledges again.",
+        "true: pause rig time; answered when the peers have processed all published blocks, or one of them is silent. "
+        "false: continue, without the blocks that a silent peer missed; if there are other peers, without that peer "
+        "until it acknowledges again.",
         _ACTIVE,
     ),
     Input(
@@ -177,7 +177,7 @@ SERVICES = (
         frozenset({Situation.RUNNING}),
     ),
     Input("~/stop", TRIGGER, "stepped_sine", "Abort the sweep or the phase lock, and ramp the shaker to rest.", _ANY),
-    Input("~/stop", TRIGGER, "recorder", "Finish the recording; answered with its directory.", _ANY),
+    Input("~/stop", TRIGGER, "recorder", "Finish the recording, if any; answered with its directory.", _ANY),
 )
 """All services except those of ROS itself (parameters, lifecycle)."""
 

@@ -33,7 +33,9 @@ import re
 
 FILE_NAME = r"\w[\w .+=,@()-]{0,150}"
 """Pattern of a name that is a file name on every system: no separator, no leading point, no invisible character."""
-FILE_NAME_MEANS = "a file name: letters, digits, blanks and . + = , @ ( ) _ -, first a letter, a digit or _"
+FILE_NAME_MEANS = (
+    "a file name of at most 151 characters: letters, digits, blanks and . + = , @ ( ) _ -, first a letter, a digit or _"
+)
 LONGEST_FILE_NAME = (
     # maximum number of characters: with the suffix of a file, also of a temporary one, far below the limit of 255 bytes
     100
@@ -54,22 +56,22 @@ _FORMULA = re.compile(rf"(?:^|(?<=[;\t\r\n]))(?={_DROPPED}[=+\-@\uff1d\uff0b\uff
 
 
 def visible(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with every control character escaped, for example ESC as `\x1b`.
+    r"""Return a text that shows every character: one that does not print is escaped, for example ESC as `\x1b`.
 
     Args:
         text: text of any origin: files, their names, the network.
-        lines: whether to keep line ends.
+        lines: whether to keep line feeds; otherwise they are escaped as well.
     """
     return "".join(c if c.isprintable() or (lines and c == "\n") else c.encode("unicode_escape").decode() for c in text)
 
 
 def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> str:
-    """Return a text as a log line: visible characters only, at most about `limit` of them.
+    """Return a text as a log line: characters that do not print are escaped, and a long text loses its middle.
 
     Args:
         text: text of any origin.
-        limit: number of characters kept of a longer text, half of them from its end.
-        lines: whether to keep line ends.
+        limit: number of characters kept of a longer text, half of them from its end; its length replaces the others.
+        lines: whether to keep line feeds; otherwise they are escaped as well.
     """
     if len(text) > limit:
         half = limit // 2
@@ -78,9 +80,10 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 
 
 def quoted(value: object) -> str:
-    """Return a value as text for an error message: in Python's notation, shortened after 200 characters.
+    """Return a value as text for an error message: in Python's notation, cut off after 200 characters.
 
-    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`.
+    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`. An integer from 10^30 on gives `a
+    number too large to represent`.
     """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a number too large to represent"
@@ -97,13 +100,14 @@ def _plain(value: object) -> object:
 
 
 def file_name(text: str) -> str:
-    """Return a safe file name for any name; if characters must be replaced, a digest of the name keeps it unique.
+    """Return a safe file name for any name.
 
     Args:
         text: any name.
 
     Returns:
-        One component of a path: letters, digits and `._+=,-`, neither empty nor hidden.
+        One component of a path: at most 100 ASCII letters, digits and `._+=,-`, neither empty nor hidden. A name that
+        already is one stays as it is; any other ends with a digest of `text`, so that different names stay different.
     """
     plain = re.sub(r"[^\w.+=,-]+", "_", text).lstrip(".-")
     if plain == text and 0 < len(text) <= LONGEST_FILE_NAME and text.isascii():
@@ -114,7 +118,8 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
 
-    If characters other than `_` must be replaced, a digest of the text keeps it unique.
+    A text that already is one, or has only `_` in place of `-`, is kept. Any other gets the prefix `n-` and a digest,
+    so that different texts stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
@@ -123,7 +128,7 @@ def identifier(text: str) -> str:
 
 
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
-    r"""Return a text for matplotlib, at most `limit` characters, in which only this project's symbols are formulas.
+    r"""Return a text for matplotlib, cut to `limit` characters, in which only this project's symbols are formulas.
 
     The project's own labels contain symbols such as `$x_1$`, which matplotlib can always set. Any other dollar sign is
     escaped, so that a name from outside is drawn as it is.
@@ -138,7 +143,8 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
 def csv_cell(value: object) -> object:
     """Return the content of a CSV cell, with an apostrophe before a text that a spreadsheet would run as a formula.
 
-    Numbers, and texts that are numbers, stay unchanged.
+    This also applies to the parts of a text after a `;`, tab or line end, where a spreadsheet may begin another cell.
+    Numbers, texts that are numbers, and single characters stay unchanged.
     """
     if not isinstance(value, str):
         return value

@@ -91,7 +91,7 @@ class Record:
 
     @property
     def transmissibility(self) -> tuple[float, float]:
-        """DT and its standard uncertainty [both 1], from the newest measurement; NaN without a measurement."""
+        """DT and its standard uncertainty, without unit, of the newest measurement; NaN if none or it failed."""
         row = self.measurements[-1] if len(self.measurements) else np.full((), np.nan, TRANSMISSIBILITY)
         return float(row["transmissibility"]), float(row["transmissibility_uncertainty"])
 
@@ -134,8 +134,8 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     The same arguments give the same bits on every machine.
 
     Args:
-        seconds: rig time [s], from one block of scans (10 ms) to 3600. The first measurement ends after about
-            12 s; a shorter run has no DT.
+        seconds: rig time [s], from one block of scans (10 ms) to 3600, rounded down to whole blocks. The first
+            measurement ends after about 12 s; a shorter run has no DT.
         parameters: configuration values that differ from the paper's rig, `section.key` -> value, as in
             docs/reference/configuration.md. Without values of the section `drive`, the drive is that of the paper: a
             sine of 9.1 Hz and 0.52 A peak.

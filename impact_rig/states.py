@@ -15,8 +15,8 @@
 
 The message of a diagnostic status is a sentence for people and may change; programs must not parse it. Every status
 carries the keys of `KEYS`; `state` is one of the words below, the most severe that applies. Status, regime and method
-of a measurement are those of `transmissibility/table`; `docs/explanation/analysis.md` explains each. Each node decides
-how severe a state is (`health`).
+of a measurement are those of `transmissibility/table`; `docs/explanation/analysis.md` explains each. The level of a
+status (OK, WARN, ERROR) is not derived from its word: each node decides it in `ManagedNode.health`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class RigWord(Word):
     PAUSED = "paused", "paused by `~/pause`; or in lockstep without a step request for a second"
     PLUCKED = "plucked", "base locked after a pluck, structure swings freely"
     AT_REST = "at_rest", "running, no drive"
-    DRIVING = "driving", "running, an amplitude is commanded"
+    DRIVING = "driving", "running, an amplitude is commanded or samples of a stream act"
 
 
 class AnalysisWord(Word):

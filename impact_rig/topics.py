@@ -49,7 +49,7 @@ class Qos(enum.Enum):
 
     @property
     def depth(self) -> int:
-        """Number of messages kept for a slow (or late) subscriber."""
+        """Number of messages kept for a slow subscriber, and for a late one if the topic is `transient_local`."""
         return self.value[0]
 
     @property
@@ -202,7 +202,11 @@ CURRENT = Topic(
     Qos.EVENT,
     "client",
     "Command: drive amplitude.",
-    (Column("data", "A", "Peak (rms for random), at most shaker.current_limit_a_rms; m or V by drive.kind."),),
+    (
+        Column(
+            "data", "A", "Peak (rms for random); its rms is at most shaker.current_limit_a_rms. m or V by drive.kind."
+        ),
+    ),
 )
 WAVEFORM = _table(
     "shaker/waveform",

@@ -120,7 +120,7 @@ class Collector:
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
-        """Return the tables received, oldest first, without the first `since` of them."""
+        """Return the tables received, oldest first, without the first `since` of them; only on a topic with tables."""
         return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
@@ -133,7 +133,7 @@ class Collector:
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all tables received, one after the other; shape (n,)."""
+        """Return the rows of all tables received, one after the other; shape (n,), with n = 0 before the first."""
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
             f"{self.topic.name}: no table received; does this topic carry tables?"
@@ -141,9 +141,9 @@ class Collector:
         return np.concatenate(parts) if parts else np.empty(0, self.topic.columns)
 
     def lost(self) -> int:
-        """Return the number of messages missing between the first and the last one, by DDS sequence number.
+        """Return the number of messages missing between the first and the last one kept, by DDS sequence number.
 
-        It is meaningful for a topic with one publisher.
+        It is meaningful for a topic with one publisher. Invalid messages, which are dropped, count as missing.
         """
         numbers = [message.sequence for message in self.received]
         return int(numbers[-1] - numbers[0] + 1 - len(set(numbers))) if numbers else 0
@@ -262,11 +262,11 @@ class Spinner:
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return a clock for time limits [s]: it pauses while a callback is busy, since compiling can take minutes."""
+        """Return the time on a clock for time limits [s], which stops while a callback is busy: it may compile."""
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
-        """Run one callback of the executor; if there is none, wait for one for at most `longest_s` seconds."""
+        """Run the next callback of the executor; if none is due, wait for one for at most `longest_s` seconds."""
         began = time.monotonic()
         self._executor.spin_once(timeout_sec=longest_s)
         self._working_s += max(0.0, time.monotonic() - began - longest_s)
@@ -400,11 +400,11 @@ class Client:
             check: called before each callback; raises an error if the wait has become pointless, see `given`.
 
         Returns:
-            The value of the condition.
+            The first value of the condition that counts as true.
 
         Raises:
             TimeoutError: the condition did not become true in time.
-            GoneError: a watched process ended.
+            GoneError: a watched process ended, or `check` raised it.
         """
         deadline = self._spinner.waited_s() + timeout_s
         while not (found := condition()):
@@ -458,8 +458,8 @@ class Client:
         """Wait until nodes are in the lifecycle state `active`.
 
         Args:
-            nodes: node names.
-            timeout_s: time limit [s], by default 240: a rig may have to compile its physics.
+            nodes: node names, relative to the namespace.
+            timeout_s: time limit for each node [s], by default 240: a rig may have to compile its physics.
 
         Raises:
             TimeoutError: a node was not active in time.
@@ -536,12 +536,14 @@ class Client:
         """Command the drive, and wait until the rig has applied the command.
 
         Args:
-            frequency_hz: new frequency [Hz]; None leaves it unchanged.
-            current_a: new current [A peak]; None leaves it unchanged.
-            timeout_s: time limit [s].
+            frequency_hz: new frequency [Hz]; None leaves it unchanged, but then `current_a` must be given.
+            current_a: new amplitude: A peak, but A rms for a random drive, m or V by `drive.kind`. None leaves it
+                unchanged.
+            timeout_s: time limit for each step of the exchange with the rig [s].
 
         Returns:
-            Row of shaker/applied that the last command caused; its `sample` is the first scan that it acts on.
+            Row of shaker/applied that the last command caused, the current if both are given; its `sample` is the
+            first scan that it acts on.
 
         Raises:
             CommandError: the rig rejected the command; the message is that of the rig.
@@ -610,7 +612,7 @@ class Client:
             check: raises an error if the wait has become pointless, see `given`.
 
         Raises:
-            TimeoutError: there is no such subscriber.
+            TimeoutError: no such subscriber appeared in time; nothing is published.
         """
         publisher = self.publisher(topic)
         self._reach(publisher, topic, timeout_s, listener, check)
@@ -621,23 +623,28 @@ class Client:
 
         Args:
             text: the remark.
+
+        Raises:
+            TimeoutError: no node, such as a recorder, subscribed to `notes` in time.
         """
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a rig in lockstep.
+        """Advance a rig that is in lockstep or paused.
 
         It returns when the last block is published and every peer has acknowledged it.
 
         Args:
-            blocks: number of blocks; None means the present `step.blocks`.
+            blocks: number of blocks, which is set as the rig's parameter `step.blocks` and stays; None means its
+                present value.
             timeout_s: time limit [s], by default 240: the first step may have to compile the physics.
 
         Returns:
             The rig's answer.
 
         Raises:
-            ImpactRigError: the rig is not in lockstep, or a peer does not acknowledge; the message says which.
+            ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or a peer does not
+                acknowledge; the message says which.
             TimeoutError: the rig did not answer in time.
         """
         if blocks is not None:
@@ -760,10 +767,13 @@ class Client:
             Values by name.
 
         Raises:
+            ConfigError: the node lacks one of these parameters.
             TimeoutError: the node did not answer in time.
         """
         request = GetParameters.Request(names=list(names))
         response = self.call(GetParameters, f"{node}/get_parameters", request)
+        if len(response.values) != len(names):  # ROS then answers without any value
+            raise ConfigError(f"{node} lacks one of the parameters {', '.join(names)}")
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
@@ -784,7 +794,7 @@ class Client:
 
         Args:
             node: node name.
-            transition: `configure`, `activate`, `deactivate` or `cleanup`.
+            transition: `configure`, `activate`, `deactivate`, `cleanup`, or a `shutdown_...` of `TRANSITIONS`.
             timeout_s: time limit for the answer [s], by default 240: a rig may have to compile its physics.
 
         Returns:
@@ -817,7 +827,7 @@ class Client:
     # Topics
 
     def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
-        """Subscribe to a topic of the topics table and keep all messages; return once a publisher is matched.
+        """Subscribe to a topic of the topics table and keep all messages; return once a publisher is connected.
 
         Args:
             name: topic name as in docs/reference/interface.md, such as `daq/scan`.
@@ -829,6 +839,7 @@ class Client:
             The messages as they arrive: `messages`, `tables()` and `last()`.
 
         Raises:
+            KeyError: the topics table has no topic of this name; use `listen` for other topics.
             TimeoutError: no publisher appeared in time.
         """
         topic = by_name(name)
@@ -994,7 +1005,7 @@ def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
 def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     """Return a topic that any node publishes, with a quality-of-service profile that suits its first publisher.
 
-    Returns None if the topic has no publisher.
+    Returns None if `node` has not discovered a publisher of the topic.
     """
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if not found:

@@ -79,7 +79,7 @@ class NodeProcess:
         return self.process.poll()
 
     def last_words(self) -> str:
-        """Return the last 15 lines of the process's log, indented, for an error message."""
+        """Return the last 15 lines of the process's log, indented, for an error message; never empty."""
         lines = self.log.read_text(errors="replace").splitlines()[-QUOTED_LINES:]
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
@@ -142,6 +142,10 @@ class Processes:
             parameters_file: ROS 2 parameter file.
             environment: additional environment variables.
             command: program and arguments that start the node instead of a module; `--ros-args …` is appended.
+
+        Raises:
+            ImpactRigError: a process of this name is running.
+            OSError: the program or the log file cannot be opened.
         """
         name = name or node
         if name in self.running and self.running[name].exit_code is None:
@@ -181,9 +185,13 @@ class Processes:
                 raise ProcessDiedError(f"the {process.name} process {how}; its last lines:\n{process.last_words()}")
 
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
-        """End the named processes, or all of them, and return their exit codes by name.
+        """End the named processes, or all of them without names, and return their exit codes by name.
 
-        Each gets SIGINT, after `timeout_s` seconds SIGTERM, and at last SIGKILL.
+        Each gets SIGINT, after `timeout_s` seconds SIGTERM, and 2 s later SIGKILL. A process that a signal has ended
+        has the negative number of the signal as its code.
+
+        Raises:
+            KeyError: there is no process of a given name; none is ended then.
         """
         with defer_signals():
             chosen = [self.running[name] for name in names or tuple(self.running)]
@@ -203,7 +211,7 @@ class Processes:
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:
         """Return the environment variables of a new node: those of this process, the group's ROS domain, and `more`.
 
-        Discovery is limited to this machine.
+        Discovery is limited to this machine. Variables in `more` replace all others of the same name.
         """
         source = str(Path(impact_rig.__file__).parents[1])
         path = os.environ.get("PYTHONPATH", "")

@@ -47,6 +47,9 @@ examples:
   {program} --ros-args -p {example}
   {program} --ros-args -r __ns:=/rig --params-file my.yaml
 
+The program ends with exit code 0 after Ctrl-C or SIGTERM, and with 2 if its arguments are invalid. A node with invalid
+parameter values logs why and stays unconfigured.
+
 {more}
 """
 Use = tuple[str, str, str]
@@ -92,7 +95,7 @@ def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
 def run(node: str, use: Use, module: str) -> None:
     """Run a node as a program; `module` is the module whose `PROGRAM` creates the node.
 
-    The program ends with a message if ROS 2 is not installed.
+    The program ends with a message and exit code 1 if ROS 2 is not installed.
     """
 
     def main(ending: Ending) -> None:
@@ -118,7 +121,8 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
     """Run the program of a node: show its help if requested, otherwise call `main`, which does the heavy imports.
 
-    The program ends in order, with exit code 0, on SIGINT or SIGTERM, and when the process that started it is gone.
+    The program ends in order, with exit code 0, on SIGINT or SIGTERM. If a launch file or a `Processes` started it, it
+    also ends when that process is gone.
     """
     if show_help(node, use, sys.argv[1:]):
         return

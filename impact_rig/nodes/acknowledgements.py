@@ -300,9 +300,9 @@ class Readers:
 class Acknowledgements:
     """Sender of a reader's acknowledgements of `daq/scan`, as messages on `daq/ack`.
 
-    A single block is acknowledged at once. The blocks of a burst are acknowledged together, after the executor has
-    delivered those that wait, because a message costs its sender and its receiver more than a block does. The blocks of
-    a rig in real time are acknowledged by a timer.
+    A single block is acknowledged at once. The blocks of a burst, at most 16, are acknowledged together, after the
+    executor has delivered those that wait: a message costs its sender and its receiver more than a block does. The
+    blocks of a rig in real time are acknowledged by a timer, every 50 ms.
 
     Args:
         node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.
@@ -330,7 +330,10 @@ class Acknowledgements:
         self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
-        """Register that the node has processed the block with this stamp [ns]; it is acknowledged now or soon."""
+        """Register that the node has processed the block with this stamp [ns], and acknowledge it.
+
+        Its acknowledgement may be sent later: together with those of further blocks, or by the timer in real time.
+        """
         self._newest_ns = stamp_ns
         self._waiting += 1
         self.is_timed = abs(time.time_ns() - stamp_ns) < PRESENT_NS

@@ -41,8 +41,8 @@ from impact_rig.simtime import NS_PER_S
 
 PUBLISHED = [topic for topic in TOPICS if topic.publisher == "analysis"]
 UNCALIBRATED = (
-    "scans arrive without their calibration (daq/info), so nothing can be measured; after ros2 bag play "
-    "--start-offset, play the bag from its start"
+    "scans arrive without their calibration (daq/info), so nothing can be measured; a bag played with ros2 bag play "
+    "--start-offset lacks it: play it from its start"
 )
 SILENCE_S = 2.0  # wall time without a block after which scans count as missing; a paused rig sends none either
 UNKNOWN_GAP = -1.0
@@ -113,7 +113,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
-        """Apply a new gap label at once to the scans that follow.
+        """Apply a new gap label to the scans after the newest one received; an inactive node only stores its settings.
 
         Raises:
             ConfigError: another setting would change while the node is active; deactivate it first.
@@ -161,7 +161,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: newest transmissibility, gap label, counters, and progress of settling."""
+        """Return values for diagnostics: newest settled transmissibility, gap label, counters, progress of settling.
+
+        The transmissibility is NaN before the first settled one. An inactive node has no values.
+        """
         tracker = self._tracker
         if tracker is None:
             return {}

@@ -265,7 +265,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def doing(self) -> NodeState:
         """Return the state of the active node as a word of `STATES`, with its reason, for diagnostics.
 
-        It must be cheap, as it is called about ten times a second; it is not called in other lifecycle states.
+        It must be cheap, as it is called about ten times a second. It is not called while the node is not active.
         """
         raise NotImplementedError
 
@@ -308,6 +308,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def active(self) -> bool:
         """Return whether the node is in the lifecycle state `active`."""
         return self.state == "active"
+
+    def why_not_active(self) -> str:
+        """Return the lifecycle state of an inactive node and how to activate it, for error messages."""
+        remedies = {"unconfigured": "configure and activate it first", "finalized": "start its program again"}
+        return f"{self.state}: {remedies.get(self.state, 'activate it first')}"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
         """Create a service whose callback is guarded: an exception is answered as an error, logged and counted.
@@ -354,7 +359,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.send(topic, codec.encode(table, self.frame_prefix))
 
     def adopt_frame(self, info: Table) -> None:
-        """Adopt the frame prefix of a `daq/info` table, so that results name the same frame as their scans."""
+        """Adopt the frame prefix of a `daq/info` table, so that results name the same frame as their scans.
+
+        A table whose frame name does not end with `daq` has no effect.
+        """
         if info.frame_id.endswith(FRAME_DAQ):
             self.frame_prefix = info.frame_id.removesuffix(FRAME_DAQ)
 
@@ -464,7 +472,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
-        """Log an exception that was caught in the callback `where`, and show it in diagnostics for some seconds."""
+        """Log an exception that was caught in the callback `where`, and show it in diagnostics for five seconds."""
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
         self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)
@@ -507,7 +515,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Run `deactivate` at a lifecycle transition, and destroy the timers and subscriptions of the activation."""
+        """Run `deactivate` at a lifecycle transition, and destroy the timers and subscriptions of the activation.
+
+        The transition succeeds even if `deactivate` raises an exception, which is logged.
+        """
         self._transition("deactivate", self._stop)
         self.get_logger().info("node deactivated")
         return super().on_deactivate(state)

@@ -92,7 +92,7 @@ def message_class(type_name: str) -> Any:
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a new rclpy quality-of-service profile for `qos`; `depth` replaces its queue length.
+    """Return a new rclpy quality-of-service profile for `qos`; a `depth` that is given replaces its queue length.
 
     Each call returns a new object, because rclpy writes overrides into the profile.
     """
@@ -116,7 +116,10 @@ def nanoseconds(stamp: Time) -> int:
 
 
 def header_stamp_ns(message: Any) -> int | None:
-    """Return the header's stamp [ns] of a message or of its CDR bytes; None if the message has no header."""
+    """Return the header's stamp [ns] of a message or of its CDR bytes; None for a message without a header.
+
+    Bytes are always taken to begin with a header.
+    """
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)
     header = getattr(message, "header", None)

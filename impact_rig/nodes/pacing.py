@@ -105,7 +105,7 @@ class Pacer:
         return self._origin_ns + (rig_ns - self._origin_rig_ns) / self.factor
 
     def lateness(self) -> Lateness | None:
-        """Return how late the last 3000 blocks were published, or None if none has been published yet."""
+        """Return how late the newest blocks, at most 3000, were published; None if none has been published yet."""
         if not self._late_ms:
             return None
         median, p99, worst = np.percentile(self._late_ms, (50, 99, 100))

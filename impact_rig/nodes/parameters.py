@@ -44,7 +44,7 @@ _LARGEST_INTEGER = 2**63 - 1
 CONFIG_FILE = "config_file"  # parameter: a configuration file to start from; other parameters override it
 SIM_TIME = "use_sim_time"
 FOREIGN = (SIM_TIME, "start_type_description_service", "qos_overrides.")  # overrides that belong to rclpy
-NO_SIM_TIME = "must be false here: this node publishes the clock"
+NO_SIM_TIME = "must be false for this node, which publishes the clock"
 
 
 @attrs.frozen

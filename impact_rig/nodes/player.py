@@ -61,11 +61,6 @@ DELIVERY = Duration(seconds=1.0)
 LAST_WORDS_S = 0.3
 
 
-def _is_of(name: str, prefixes: Collection[str]) -> bool:
-    """Return whether the topic `name` begins with one of these prefixes, that is, belongs to one of these rigs."""
-    return any(name.startswith(prefix) for prefix in prefixes)
-
-
 Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 
 
@@ -121,20 +116,24 @@ class Player:
         paused: bool = False,
     ) -> None:
         if peers and chosen and run.name(topics.SCAN) not in map(run.name, chosen):
-            raise ImpactRigError(f"peers acknowledge {topics.SCAN.name}, so include it in the chosen topics")
+            raise ImpactRigError(
+                f"peers acknowledge {topics.SCAN.name}: include it in the chosen topics, or name no peers"
+            )
         if factor is None and not peers:
             raise ImpactRigError(
-                f"playback at the highest rate would lose messages: name a peer that acknowledges {topics.SCAN.name}"
+                "playback at the highest rate would lose messages: name peers that acknowledge "
+                f"{topics.SCAN.name}, or a rate"
             )
         if run.end_ns > LAST_NS:
             raise RecordingError(
-                f"{run.path}: a message has the log time {run.end_ns} ns, the largest ROS time is {LAST_NS} ns"
+                f"{run.path}: a message has the log time {run.end_ns} ns, which cannot be replayed: the largest ROS "
+                f"time is {LAST_NS} ns"
             )
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
         self._scan = run.resolve(topics.SCAN.name)
-        others = [prefix for prefix in run.prefixes if prefix != run.prefix]
-        everything = [name for name in sorted(run.topics) if run.relative(name) is not None or not _is_of(name, others)]
+        others = tuple(prefix for prefix in run.prefixes if prefix != run.prefix)  # of the other rigs in the recording
+        everything = [one for one in sorted(run.topics) if run.relative(one) is not None or not one.startswith(others)]
         wanted = [run.resolve(name) for name in chosen] if chosen else everything
         self._names = [name for name in wanted if name not in MADE_HERE and run.relative(name) not in MADE_HERE]
         self._publishers = {name: self._publisher(run.topics[name]) for name in self._names}
@@ -159,7 +158,7 @@ class Player:
         Raises:
             RecordingError: a chunk of the run is damaged, or a pause is too long; the messages before it were
                 published.
-            ImpactRigError: a peer stopped acknowledging.
+            ImpactRigError: a peer acknowledged nothing for 10 s although blocks were outstanding.
         """
         self.now_ns = self.start_ns
         self._window = self._new_window()  # stamps begin again
@@ -211,7 +210,7 @@ class Player:
         """Run callbacks once, for at most `longest_s` seconds, and yield the present rig time [ns].
 
         Raises:
-            ImpactRigError: a peer has acknowledged nothing for 10 s.
+            ImpactRigError: a peer has acknowledged nothing for 10 s although blocks were outstanding.
         """
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:
@@ -220,7 +219,8 @@ class Player:
         silent = self._window.silent()
         if silent:
             raise ImpactRigError(
-                f"playback stopped: peer {', '.join(silent)} acknowledged no block for {PEER_TIMEOUT_S:g} s"
+                f"playback stopped: peer {', '.join(silent)} acknowledged no block for {PEER_TIMEOUT_S:g} s; play the "
+                "run again with peers that run"
             )
         self._spin(longest_s)
         yield self.now_ns

@@ -294,7 +294,7 @@ class Publishers:
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Make the next call of `configuration` publish the calibration in any case, because a new rig starts."""
+        """Make the next `configuration` publish the calibration, and the next `poll` check: a new rig starts."""
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
 

@@ -214,7 +214,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: directory, messages and size of the current run, lost messages by topic."""
+        """Return values for diagnostics: lost messages by topic and, during a run, its directory, messages and size."""
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
             values |= {
@@ -235,11 +235,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
         if not self.active:
-            raise RecordingError(f"the recorder is {self.state}: activate it first")
+            raise RecordingError(f"the recorder is {self.why_not_active()}")
         if self._writer is not None:
             raise RecordingError(f"already recording {self._writer.directory}: call ~/stop first")
         if self._waiting:
-            raise RecordingError("a recording is already requested, and waits for the rig's configuration")
+            raise RecordingError(
+                "a recording is already requested, and waits for the rig's configuration: call ~/stop to cancel it"
+            )
         self._take_all()
         self._starting.append(done)
         self._start()
@@ -263,10 +265,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._finish()
         if self.active:
             self._follow_scans()
-        done(
-            not self._failure,
-            self._failure or (str(directory) if directory else ("nothing to stop: the recorder is not recording")),
-        )
+        stopped = str(directory) if directory else "nothing to stop: the recorder is not recording"
+        done(not self._failure, self._failure or stopped)
 
     def _start(self, patiently: bool = False) -> None:
         """Open the run once the configuration of the rig has arrived, which is written at its beginning.

@@ -82,7 +82,10 @@ class RigState:
         return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
-        """Return the level and messages of the most severe problems, or the reason why the rig has not started."""
+        """Return level and message for diagnostics: the most severe problems, or why the rig has not started.
+
+        Without a problem the level is OK, and the message names the time mode.
+        """
         reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
         if reason_not_ready is not None:
             return Level.ERROR if reason_not_ready.word is states.RigWord.RIVAL else Level.WARN, reason_not_ready.reason
@@ -162,7 +165,7 @@ class RigState:
             yield Problem(level, waiting, NodeState(words.NO_PEER, waiting))
         quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s, blocks not acknowledged"] if silent else []
         if session.is_starving:
-            quiet.append(f"{session.controllers()} sends no samples on {topics.WAVEFORM.name}")
+            quiet.append(session.lack_of_samples())
         for why in quiet:
             go_on = f"rig time stands still: {why} (~/pause with false continues without it)"
             yield Problem(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
@@ -175,17 +178,18 @@ class RigState:
             yield Problem(Level.OK, "", NodeState(words.PAUSED, "no step is requested"))
         without = missing if realtime else ", ".join(session.window.waived())
         if without:
-            yield Problem(Level.WARN, f"running without peer {without}")
+            yield Problem(Level.WARN, f"running without peer {without}, which does not read {topics.SCAN.name}")
         if rig.takes_samples:
             who = session.controllers()
-            if " and " in who:
-                several = f"{who} all send samples on {topics.WAVEFORM.name}: the last one received counts"
-                yield Problem(Level.WARN, several)
+            if len(who) > 1:
+                several = f"{' and '.join(who)} all send samples on {topics.WAVEFORM.name}"
+                yield Problem(Level.WARN, f"{several}: the last one received counts")
             if rig.stream.state is StreamState.MISSING:
-                without = _WITHOUT[rig.config.drive.on_underrun]
-                yield Problem(Level.WARN, f"samples of {who} did not arrive in time: {without}")
+                whose = f"samples of {' and '.join(who)}" if who else "samples of the drive, which no node publishes,"
+                yield Problem(Level.WARN, f"{whose} did not arrive in time: {_WITHOUT[rig.config.drive.on_underrun]}")
         if session.pacer.slips:
-            yield Problem(Level.WARN, "the rig could not keep real time: see slips and slipped_s")
+            lag_s = session.pacer.slipped_ns / NS_PER_S
+            yield Problem(Level.WARN, f"the rig could not keep real time and gave up a lag of {lag_s:.1f} s")
         if realtime:
             per_second = daq.rate_hz * timing.factor / daq.block_scans
             for name, count in session.window.behind().items():
@@ -204,7 +208,10 @@ class RigState:
     # The log
 
     def log_changes(self) -> None:
-        """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers."""
+        """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers.
+
+        The rig also stops waiting for acknowledgements of a reader that is gone or was restarted.
+        """
         session = self._session
         rig, window = session.rig, session.window
         if rig is None:

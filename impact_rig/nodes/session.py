@@ -59,7 +59,7 @@ GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers o
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
-    """Return whether discovery is certainly limited to this machine, so that no rig of another one can interfere.
+    """Return whether ROS discovery is certainly limited to this machine, so that no rig of another one can interfere.
 
     Args:
         environment: environment variables.
@@ -153,7 +153,7 @@ class DuplicatePublishers:
 WORK_S = 0.02  # wall time for which one call of the work timer may run before commands and services are processed
 LARGEST_BATCH_S = 0.2  # rig time simulated at once, which delays commands and services as well
 CATCH_UP_NS = 50_000_000
-"""Largest rig time [ns] that is simulated at once in real time, so that a slow rig still answers requests."""
+"""Rig time [ns] that is simulated at most before the wall clock is read again; for a rig in real time that is late."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005  # period of the work timer if acknowledgements drive the work
 SLICE_S = 0.02
@@ -163,7 +163,7 @@ An executor that delivers all messages of one subscription first would otherwise
 """
 AWAY_S = 1.0  # a gap this long between two calls of the work timer means that this process was suspended, not the peers
 EXPIRES_S = 2.0
-"""Duration [s] of a suspension of this process after which commands that arrived during it are dropped.
+"""Duration [s] of a suspension of this process above which commands that were sent during it are rejected.
 
 Their senders have already received an error.
 """
@@ -212,7 +212,7 @@ class Counts:
                     self.faults.pop(number, None)
 
     def over_range(self) -> Counter[str]:
-        """Return, by channel, the number of scans in which the channel was over range."""
+        """Return, by channel, the number of scans since the activation in which the channel was over range."""
         if self._uncounted:
             rows, self._uncounted = joined(self._uncounted), []
             status = rows["status"]
@@ -222,7 +222,7 @@ class Counts:
         return self._over_range
 
     def block_rate_hz(self) -> float:
-        """Return the blocks per second of wall time, averaged over about two seconds."""
+        """Return the blocks per second of wall time, averaged over about two seconds if it is called often."""
         now = time.monotonic()
         self._rates.append((now, self.blocks))
         while len(self._rates) > 2 and now - self._rates[1][0] > RATE_WINDOW_S:
@@ -303,14 +303,24 @@ class Session:
 
     @property
     def is_starving(self) -> bool:
-        """Return whether the rig has waited for samples of its drive for longer than `time.peer_timeout_s`."""
+        """Return whether the rig has waited for samples of its drive for longer than `time.peer_timeout_s`.
+
+        A rig in real time never waits for them.
+        """
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
-    def controllers(self) -> str:
-        """Return the names of the nodes that publish samples of the drive, joined by "and", for messages."""
+    def controllers(self) -> list[str]:
+        """Return the names of the nodes that publish samples of the drive (`shaker/waveform`), sorted."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
-        return " and ".join(sorted({info.node_name for info in found})) or "nobody"
+        return sorted({info.node_name for info in found})
+
+    def lack_of_samples(self) -> str:
+        """Return why a rig lacks samples of its drive, for messages: the node that sends none, if there is one."""
+        names, topic = self.controllers(), topics.WAVEFORM.name
+        return (
+            f"{' and '.join(names)} sends no samples on {topic}" if names else f"no node publishes samples on {topic}"
+        )
 
     # Start and end
 
@@ -319,9 +329,9 @@ class Session:
         self.publishers = Publishers(self.node, self.node.settings)
 
     def activate(self) -> None:
-        """Start the rig as soon as no other rig publishes on these topics, at once if there is none.
+        """Start the rig as soon as no other rig publishes its topics or holds its namespace, at once if there is none.
 
-        In real time, the rig also waits for its peers to connect, at most `time.start_wait_s`.
+        In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`.
         """
         timing = self.node.settings.time
         self.publishers.forget()
@@ -341,19 +351,19 @@ class Session:
             self.publishers.announce(self.node.settings)
 
     def reason_not_ready(self) -> NodeState | None:
-        """Return the state that keeps an active rig from starting, with its reason; None if there is none.
+        """Return the state that keeps an active rig from starting, with its reason.
 
-        A rig that finds another one on its topics waits until that one is gone: two rigs in one namespace would both
-        obey the same commands and publish into the same recording. The earlier rig continues.
+        It is None if nothing does, if the rig has started, or if the node is not active. A rig that finds another one
+        on its topics waits until that one is gone: two rigs in one namespace would both obey the same commands and
+        publish into the same recording. The earlier rig continues.
         """
         if not self._active or self.rig is not None:
             return None
         others = self.duplicates.sentence()
+        if not others and not self.lock.take():
+            others = f"another rig of this machine is in the namespace {self.node.get_namespace()}"
         if others:
-            return NodeState(states.RigWord.RIVAL, f"waiting until no other rig is here: {others}")
-        if not self.lock.take():
-            here = "another rig of this machine is in this namespace"
-            return NodeState(states.RigWord.RIVAL, f"waiting until no other rig is here: {here}")
+            return NodeState(states.RigWord.RIVAL, f"waiting until the other rig has ended: {others}")
         patience_s = self.node.settings.time.start_wait_s
         if not self.is_realtime or self.readers.all_matched() or self.readers.overdue(patience_s):
             return None  # the other modes wait block by block
@@ -411,11 +421,13 @@ class Session:
         return self.rig
 
     def why_not(self) -> str:
-        """Return the reason why no rig has started, as text for an error message."""
+        """Return the reason why no rig has started, and what to do, as text for an error message."""
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
-        return f"the rig is {self.node.state}: activate it first"
+        if self._active:
+            return "the rig is about to start: try again"
+        return f"the rig is {self.node.why_not_active()}"
 
     # Work
 
@@ -554,7 +566,7 @@ class Session:
                 break
         silent = window.silent() if self._stepping else ()
         if self._stepping and self.is_starving:
-            self._end_steps(f"{self.controllers()} sends no samples on {topics.WAVEFORM.name}")
+            self._end_steps(self.lack_of_samples())
         elif silent:
             self._end_steps(f"peer {', '.join(silent)} does not acknowledge {topics.SCAN.name}")
         elif self._steps_left <= 0 and self._stepping and window.outstanding() == 0:
@@ -586,7 +598,7 @@ class Session:
     def step(self, steps: int, done: Done) -> None:
         """Request this many steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
-        `done` is called when the last block is published and acknowledged, or with an error if that fails.
+        `done` is called when every peer has acknowledged the last block, or with an error if that fails.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
@@ -595,7 +607,13 @@ class Session:
         self.work()
 
     def pause(self, done: Done) -> None:
-        """Stop rig time at once; `done` is called when the peers have processed all published blocks."""
+        """Stop rig time at once; `done` is called when the peers have processed all published blocks.
+
+        It is also called when one of them is silent, which would never process them.
+
+        Raises:
+            CommandError: no rig has started.
+        """
         self.running()
         self.paused = self._is_still = True
         self._pausing.append(done)
@@ -605,7 +623,11 @@ class Session:
     def resume(self, done: Done) -> None:
         """Let rig time continue after a pause, or while it waits for a silent peer or samples; answer by `done`.
 
-        The rig no longer waits for peers that are silent, nor for a controller that sends no samples.
+        The rig no longer waits for peers that are silent, nor for a controller that sends no samples. A rig that runs
+        is not affected.
+
+        Raises:
+            CommandError: no rig has started.
         """
         rig = self.running()
         starving = self.is_starving
@@ -646,7 +668,11 @@ class Session:
     # Other inputs
 
     def reset(self, rig: Rig) -> None:
-        """Start the rig again from scan 0 with continuing stamps, and publish that; waiting steps are rejected."""
+        """Start the rig again from scan 0 with continuing stamps, and publish that; waiting steps are rejected.
+
+        Raises:
+            CommandError: the shaker is latched; nothing is changed.
+        """
         rig.reset()
         self._end_steps("the rig was reset")
         self._starved_at = None  # samples are needed from the start again

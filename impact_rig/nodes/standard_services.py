@@ -155,7 +155,7 @@ class StandardServices:
         failed = self._messages.Result.RESULT_OPERATION_FAILED
         self._session.running()
         if self._state() != self._messages.SimulationState.STATE_PAUSED:
-            tell(failed, "a step needs the simulation state PAUSED")
+            tell(failed, "a step needs the simulation state PAUSED: set that state first")
         else:
             self._session.step(request.steps, self._done(tell, failed))
 

@@ -44,7 +44,7 @@ class RigConfig:
     Attributes:
         structure: superior base on its columns: mass, natural frequency, damping.
         shaker: shaker and inferior base: masses, suspension, force factor, limits.
-        drive: initial drive: waveform, frequency, amplitude.
+        drive: drive at the start or reset: kind, waveform, frequency, amplitude.
         sphere: whether there is a sphere; its mass, size and start.
         barriers: gap between the barriers, and their material.
         contact: law of the contact between sphere and barriers, and coefficient of restitution.
@@ -53,7 +53,7 @@ class RigConfig:
         time: rig time relative to wall time: real time, free-running or lockstep.
         step: number of blocks per request of a rig in lockstep.
         pluck: displacement of a pluck test.
-        output: topics that are published on request.
+        output: monitor rate, frame names and optional topics; command timeout, start of the node.
 
     Raises:
         ConfigError: sections contradict each other; each section checks its own values.

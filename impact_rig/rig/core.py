@@ -166,8 +166,8 @@ class Rig:
         start_ns: stamp of scan 0 [ns].
 
     Raises:
-        ConfigError: the initial drive of the configuration exceeds the shaker, or the instruments do not support this
-            rate.
+        ConfigError: the initial drive of the configuration exceeds the shaker, the mechanics cannot be simulated with
+            this combination of values, or the instruments do not support this rate.
 
     Examples:
         >>> import impact_rig
@@ -252,7 +252,7 @@ class Rig:
 
     @property
     def takes_samples(self) -> bool:
-        """Return whether the drive is a stream."""
+        """Return whether samples of a stream drive the rig (`drive.waveform: stream`), instead of commands."""
         return self._generator.stream is not None
 
     @property
@@ -283,7 +283,7 @@ class Rig:
         return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
-        """Return the table of the topic `shaker/stream`, with the stamp of the next sample needed.
+        """Return the table of the topic `shaker/stream`, one row, whose stamp is the time of the sample needed next.
 
         Raises:
             CommandError: the drive is not a stream.
@@ -295,10 +295,10 @@ class Rig:
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
 
     def block_end_ns(self, blocks: int) -> int:
-        """Return the rig time at which further blocks are complete [ns].
+        """Return the rig time at which the next blocks will be complete [ns].
 
         Args:
-            blocks: number of blocks.
+            blocks: number of blocks, from the first one that `advance` has not returned.
         """
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
@@ -422,8 +422,8 @@ class Rig:
             The table that is published on `shaker/applied`: one row with the first scan that the command acts on.
 
         Raises:
-            CommandError: out of range, not finite, not accepted by the waveform (a frequency is for a sine alone), or
-                the shaker is latched or locked; nothing is changed.
+            CommandError: a value is out of range or not finite; the waveform does not accept it (a sine accepts both,
+                a stream neither, any other an amplitude only); or the shaker is latched or locked. Nothing is changed.
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
@@ -480,7 +480,7 @@ class Rig:
             stamp_ns: rig time [ns].
 
         Raises:
-            CommandError: the time is more than a quarter of a sample off.
+            CommandError: the time is more than a quarter of a sample off, or the drive is not a stream.
         """
         rate, since = self.stream.rate_hz, stamp_ns - self.start_ns
         sample = (2 * since * rate + NS_PER_S) // (2 * NS_PER_S)
@@ -563,7 +563,7 @@ class Rig:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
         """
         if self._latched is not None:
-            raise CommandError(f"cannot reset: the shaker is latched by {self._latched}; call ~/clear_trip first")
+            raise CommandError(f"cannot reset: {self._why_latched()}")
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
@@ -587,7 +587,7 @@ class Rig:
     def stop(self, reason: str = EMERGENCY) -> None:
         """Ramp the shaker to zero within `shaker.stop_ramp_s` and latch it until `clear_trip`: the emergency stop.
 
-        A rig that has not simulated anything yet never starts to move.
+        The ramp begins at the frontier. A rig that has not simulated anything yet never starts to move.
 
         Args:
             reason: reason to report, by default "emergency stop".
@@ -622,7 +622,11 @@ class Rig:
         """End instrument faults at the first scan that is not measured yet.
 
         Args:
-            number: number of the fault, as returned by `inject`; None ends all of them.
+            number: number of the fault, as returned by `inject`; None ends all of them. A fault that has ended may be
+                given again.
+
+        Raises:
+            CommandError: no fault of this number was planned or injected since the start or reset.
         """
         self._chain.clear(number)
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
@@ -665,11 +669,14 @@ class Rig:
         if number in self._chain.fault_numbers():
             self.clear_fault(number)
 
+    def _why_latched(self) -> str:
+        return f"the shaker is latched by {self._latched}: call ~/clear_trip (in Python Rig.clear_trip) first"
+
     def _refuse_if_stopped(self) -> None:
         if self._latched is not None:
-            raise CommandError(f"the shaker is latched by {self._latched}: call ~/clear_trip first")
+            raise CommandError(self._why_latched())
         if self.plucked:
-            raise CommandError("the base is locked after a pluck: call ~/reset first")
+            raise CommandError("the base is locked after a pluck: call ~/reset (in Python Rig.reset) first")
 
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
         if self.plucked:

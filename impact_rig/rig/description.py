@@ -66,9 +66,10 @@ _SHOWN = operator.itemgetter(
 
 
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
-    """Return the values of a message on `truth/joint_states` for a true state, in the order of `JOINTS`.
+    """Return the values of a message on `truth/joint_states` for a true state, a row of `blocks.TRUTH_SCAN`.
 
-    They are positions [m], velocities [m/s], and the contact force on each body [N], positive to the right.
+    They are positions [m], velocities [m/s], and the contact force on each body [N], positive to the right. Each list
+    is in the order of `JOINTS`.
     """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere

@@ -288,7 +288,7 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
     """Return the last journal in these entries, from its `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there is no beginning, or entries are missing.
+        ConfigError: there are no entries, or one is missing in any of the journals; the message has its number.
     """
     found: list[JournalEntry] = []
     for entry in entries:

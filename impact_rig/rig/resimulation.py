@@ -69,13 +69,15 @@ def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
 
 
 class RecordedSamples(Buffer):
-    """Buffer of a stream that holds all samples of a recording; active are those that the journal names.
+    """Buffer of a stream that holds all samples of a recording.
+
+    Samples are active if they took effect in the recorded rig, by the BEGIN and END events of its journal.
 
     Args:
         rig: re-simulated rig, driven by the stream.
-        entries: entries of its journal after the first.
-        waveform: received blocks, in order, doubtful blocks first; of late ones, only samples without an earlier
-            version are used.
+        entries: entries of the recorded rig's journal after the first.
+        waveform: blocks of samples in the order of their receipt, doubtful ones first. Of a sample that arrived after
+            its time, only the first version is used.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -108,10 +110,10 @@ class RecordedSamples(Buffer):
         self._sample_s = 1.0 / rig.stream.rate_hz
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return which of the samples first … end − 1 were active.
+        """Return, for each of the samples first … end − 1, whether it took effect in the recorded rig.
 
         Raises:
-            ConfigError: one of them is not in the recording.
+            ConfigError: a sample that took effect is not in the recording.
         """
         numbers = np.arange(first, end)
         wanted = np.searchsorted(self._switches, numbers, side="right") % 2 == 0
@@ -122,7 +124,7 @@ class RecordedSamples(Buffer):
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._switches[-1]):
             raise ConfigError(
                 f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was active "
-                f"{lacking[0] * self._sample_s:.6f} s after the start"
+                f"{lacking[0] * self._sample_s:.6f} s after the start or reset"
             )
         held &= wanted
         return held
@@ -133,7 +135,10 @@ class RecordedSamples(Buffer):
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that was not active."""
+        """Return the number of the first sample from `first` on that did not take effect in the recorded rig.
+
+        If the journal ends while samples take effect, that is the first one after all recorded samples.
+        """
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
             return first
@@ -159,8 +164,8 @@ class Resimulation:
     Attributes:
         rig: the re-simulated rig, which may be ahead of the blocks taken from `blocks`.
         blocks: iterator of the rig's blocks, without end.
-        calibrations: `daq/info` at the start and after each change that the rig has reached.
-        configurations: the configuration at the start and after each change that the rig has reached.
+        calibrations: `daq/info` at the start, and each changed one that the rig has reached, oldest first.
+        configurations: the configuration at the start, and after each parameter change that the rig has reached.
     """
 
     def __init__(

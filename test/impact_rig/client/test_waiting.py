@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from impact_rig import topics
-from impact_rig.errors import ImpactRigError
+from impact_rig.errors import ConfigError, ImpactRigError
 
 if TYPE_CHECKING:
     from impact_rig.client import Client
@@ -211,3 +211,5 @@ def test_a_list_is_emptied_as_an_empty_list() -> None:
             assert client.get_parameters("rig", [name]) != {name: [""]}
             client.set_parameters("rig", {name: lines})
             assert client.get_parameters("rig", [name]) == {name: [""]}
+        with pytest.raises(ConfigError, match=r"rig lacks one of the parameters barriers.gap_m, barriers.gap$"):
+            client.get_parameters("rig", ["barriers.gap_m", "barriers.gap"])

@@ -187,7 +187,10 @@ def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ServiceFailedError, match="already recording"):
         client.trigger("recorder/start")
     assert client.change_state("recorder", "deactivate")
-    with pytest.raises(ServiceFailedError, match="inactive"):
+    with pytest.raises(ServiceFailedError, match="the recorder is inactive: activate it first"):
+        client.trigger("recorder/start")
+    assert client.change_state("recorder", "cleanup")
+    with pytest.raises(ServiceFailedError, match="the recorder is unconfigured: configure and activate it first"):
         client.trigger("recorder/start")
     with open_run(tmp_path / "run") as run:
         assert run.attachments()["environment.json"]

@@ -115,9 +115,8 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     )
     second.trigger_configure()
     second.trigger_activate()
-    held_back = (
-        "waiting until no other rig is here: another /rig publishes daq/scan"  # the graph names it, a lock is quicker
-    )
+    # the graph names it, a lock is quicker
+    held_back = "waiting until the other rig has ended: another /rig publishes daq/scan"
     client.wait_until(lambda: held_back in second.health()[1], "the second to hold back")
     assert second.health()[0] == 2
     assert starts(journal) == 1, "not a word of the second in the journal"
@@ -130,10 +129,12 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
 def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(client: Client) -> None:
     place = NamespaceLock(client.node)
     assert place.take()
-    host_rig(client)
+    node = host_rig(client)
     client.wait_until(lambda: "another rig of this machine" in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == LEVELS["error"]
+    assert "has ended: another rig of this machine is in the namespace /" in node._session.why_not()
     place.leave()
+    assert node._session.why_not() == "the rig is about to start: try again"
     client.wait_until(lambda: client.status("rig").message == "running in time mode lockstep", "the rig to begin")
     assert not place.take()
 

@@ -213,7 +213,9 @@ def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> No
     assert user.state == PLAYING
     assert user.set(PLAYING) == (SetResponse.ALREADY_IN_TARGET_STATE, "")
     running = user.call("step_simulation", StepRequest(1)).result
-    assert running == Result(Result.RESULT_OPERATION_FAILED, "a step needs the simulation state PAUSED")
+    assert running == Result(
+        Result.RESULT_OPERATION_FAILED, "a step needs the simulation state PAUSED: set that state first"
+    )
 
     assert user.set(PAUSED) == (Result.RESULT_OK, "")
     assert user.state == PAUSED

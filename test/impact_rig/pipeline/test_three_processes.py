@@ -130,7 +130,7 @@ def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
     processes.start("rig", {"daq.seed": 2}, name="other_rig")
     client.wait_active("other_rig")
     # a lock says so at once, the graph names the other
-    held_back = "waiting until no other rig is here: /lab/rig publishes daq/scan"
+    held_back = "waiting until the other rig has ended: /lab/rig publishes daq/scan"
     client.wait_until(lambda: held_back in client.status("other_rig").message, "the second to hold back")
     client.wait_until(lambda: "/lab/other_rig publishes" in client.status("rig").message, "the first to say so")
     client.wait_until(lambda: len(scans) > 50, "blocks of the first alone")

@@ -115,7 +115,7 @@ def test_diagnostics_are_named_by_node_and_component_with_a_device_per_rig() -> 
 def test_the_source_of_time_follows_nobodys_clock(client: Client) -> None:
     host_rig(client)
     client.wait_active("rig")
-    with pytest.raises(ConfigError, match="use_sim_time must be false here: this node publishes the clock"):
+    with pytest.raises(ConfigError, match="use_sim_time must be false for this node, which publishes the clock"):
         client.set_parameters("rig", {"use_sim_time": True})
     client.set_parameters("rig", {"use_sim_time": False})
     assert client.get_parameters("rig", ["use_sim_time"]) == {"use_sim_time": False}
@@ -124,7 +124,7 @@ def test_the_source_of_time_follows_nobodys_clock(client: Client) -> None:
 def test_a_rig_that_is_started_with_somebodys_clock_refuses_to_begin(client: Client) -> None:
     console = Console(client)
     client.host(RigNode, parameter_overrides=ros_parameters({"use_sim_time": True}))
-    console.wait(LoggingSeverity.ERROR, "cannot configure: use_sim_time must be false here")
+    console.wait(LoggingSeverity.ERROR, "cannot configure: use_sim_time must be false for this node")
     assert client.state("rig") == "unconfigured"
 
 
