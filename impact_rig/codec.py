@@ -85,7 +85,8 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
         The message as little-endian CDR, the encoding that ROS 2 transmits.
 
     Raises:
-        CodecError: a column's type, the stamp or the frame id cannot be represented in a PointCloud2.
+        CodecError: the rows are not one-dimensional, or a column's type, the stamp or the frame id cannot be
+            represented in a PointCloud2.
 
     Examples:
         >>> import impact_rig
@@ -102,7 +103,7 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
         raise CodecError(f"rows must be one-dimensional, got shape {rows.shape}")
     seconds, nanoseconds = divmod(table.stamp_ns, NS_PER_S)
     if not -(2**31) <= seconds < 2**31:
-        raise CodecError(f"stamp_ns must fit 32-bit seconds, got {table.stamp_ns}")
+        raise CodecError(f"stamp_ns must be at least -2**31 s and below 2**31 s, got {table.stamp_ns} ns")
     frame, layout = _constant_parts(rows.dtype, frame_prefix + table.frame_id)
     data = rows.tobytes()
     return b"".join(
@@ -119,7 +120,7 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
 
 
 def encode_polygon(stamp_ns: int, frame_id: str, points: NDArray[np.floating[Any]]) -> bytes:
-    """Return a serialised `geometry_msgs/PolygonStamped`, as plotters read it.
+    """Return a serialised `geometry_msgs/PolygonStamped`, the message of spectra for plotters.
 
     Args:
         stamp_ns: stamp of the message [ns].
@@ -141,14 +142,15 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
         data: serialised message (little-endian CDR).
         topic: topic of the table (an entry of `impact_rig.topics`, such as `impact_rig.topics.SCAN`), whose columns and
             values are then checked; None allows any columns and values.
-        needs: further required columns, such as the channels of a scan.
+        needs: further required columns of a table of `topic`, such as the channels of a scan.
 
     Returns:
-        The table; its rows are a read-only view of `data`.
+        The table. Its rows are a read-only view of `data`, or a new array if `topic` has columns that `data` lacks or
+        has in a narrower type.
 
     Raises:
-        CodecError: `data` is not a little-endian PointCloud2 with one row of points and columns as `encode` writes
-            them, or not a table of `topic`; the message names the place and the reason.
+        CodecError: `data` is not a little-endian PointCloud2 of height 1 with columns of the types that `encode`
+            writes, or not a table of `topic`; the message names the member or column and the reason.
 
     Examples:
         >>> import numpy as np, impact_rig
@@ -191,7 +193,9 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
         row = _first_wrong(data, offset, rows.itemsize, column.least, column.most, column.whole)
         if row < len(rows):
             value = rows[column.name][row].item()
-            raise CodecError(f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}")
+            raise CodecError(
+                f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row} (from 0)"
+            )
     for column in plan.texts:
         _refuse_texts(rows[column.name], column, topic)
     return table if rows is table.rows else Table(table.stamp_ns, rows, table.frame_id)
@@ -274,7 +278,7 @@ def _refuse_texts(values: NDArray[np.generic], column: Column, topic: Topic) -> 
         try:
             raw.decode()
         except UnicodeDecodeError:
-            raise CodecError(f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row}") from None
+            raise CodecError(f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row} (from 0)") from None
 
 
 def _decode(data: Buffer) -> Table:
@@ -361,6 +365,8 @@ def header_stamp_ns(data: Buffer) -> int:
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     """Return stamp [ns] and (positions, velocities, efforts) of a serialised `sensor_msgs/JointState`.
 
+    Each is an array of shape (n,), which is empty if the message has no such values.
+
     Raises:
         CodecError: `data` is not a JointState in little-endian CDR.
     """
@@ -389,14 +395,15 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 
 
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
-    """Return members of a serialised message of any type, by path: a number, a text, or a tuple of numbers.
+    """Return the first members of a serialised message of any type, by path: a number, a text, or a tuple of numbers.
 
     Args:
         data: the message.
-        members: path, primitive type and count of every member in order; a text must have the count 1.
+        members: path, primitive type and count of each member, in order from the first one of the message on. A text
+            must have the count 1.
 
     Raises:
-        CodecError: a member is of another kind, or missing in the message.
+        CodecError: a member is neither a primitive number nor a text, or the message ends before it.
     """
     header_stamp_ns(data)  # rejects another byte order
     cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()

@@ -222,20 +222,20 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
     """Check that samples of a stream are finite and within the shaker's limit.
 
     Raises:
-        CommandError: a sample is not allowed, or the shape is wrong; the message names the first such sample and the
-            limit.
+        CommandError: the shape is not (n,), or a sample is not allowed; the message names the first such sample and
+            the limits.
     """
     if values.ndim != 1:
         raise CommandError(f"a block of samples must have the shape (n,), got {values.shape}")
     name, unit, high, why = amplitude_limit(drive, shaker)
     wrong = np.flatnonzero(~(np.abs(values) <= high))
     if len(wrong):
-        got = f"got {values[wrong[0]]:g} at row {wrong[0]} of {len(values)}"
-        raise CommandError(f"{name} must be within {high:.4g} {unit} either side ({why}), {got}")
+        got = f"got {values[wrong[0]]:g} in row {wrong[0]} (from 0)"
+        raise CommandError(f"{name} must be >= {-high:.4g} and <= {high:.4g} {unit} ({why}), {got}")
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
-    """Return the limit of the drive amplitude: its name, unit and value, and the parameter from which it follows."""
+    """Return the drive amplitude's name, unit and largest value, and the parameter from which that value follows."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

@@ -157,8 +157,8 @@ class Truth:
         """Return and remove the kept true states of scans first … first + count − 1.
 
         Returns:
-            The states, with `time` since scan `first`. The number of each one's scan, from 0 for scan `first`. Which of
-            them are instants of the monitor topics.
+            The states, with `time` since scan `first` [s]. The number of each one's scan, from 0 for scan `first`. A
+            mask, or `slice(None)` for all, of those that are instants of the monitor topics.
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS, _ALL
@@ -174,7 +174,10 @@ class Truth:
         return rows, found, monitor
 
     def pop_impacts(self, first: int, count: int) -> NDArray[np.void]:
-        """Return and remove the contacts that ended before the scan first + count, with `time` since scan `first`."""
+        """Return and remove the contacts that ended before the scan first + count, with `time` since scan `first` [s].
+
+        A contact that began before scan `first` has a negative `time`.
+        """
         end_s = (first + count) / self._rate_hz
         done = bisect.bisect_left(self._ends, end_s)
         if done == 0:
