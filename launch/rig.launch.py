@@ -65,12 +65,16 @@ NODES = (*(node.name for node in graph.NODES if node.name != "stepped_sine"), "l
 
 
 def text(context: LaunchContext, name: str) -> str:
-    """Return the value of a launch argument."""
+    """Return the value of a launch argument as text."""
     return LaunchConfiguration(name).perform(context)
 
 
 def number(context: LaunchContext, name: str) -> float:
-    """Return the value of a launch argument that is a number."""
+    """Return the value of a launch argument that is a number.
+
+    Raises:
+        ConfigError: it is not a number; the message names the argument.
+    """
     try:
         return float(text(context, name))
     except ValueError:
@@ -83,7 +87,11 @@ def names_in(context: LaunchContext, name: str) -> list[str]:
 
 
 def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]:
-    """Return the rig's parameters from the arguments that differ from its file."""
+    """Return the parameters of the rig, by full name, which replace values of its configuration file.
+
+    They come from `overrides`, then from arguments of their own. If neither these nor the file name peers, the peers
+    are the analysis and the recorder.
+    """
     given = overrides(context)
     if text(context, "mode"):
         given["time.mode"] = text(context, "mode")
@@ -105,7 +113,11 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
 
 
 def overrides(context: LaunchContext) -> dict[str, Any]:
-    """Return the parameters in the argument `overrides`, with full names."""
+    """Return the parameters in the argument `overrides`, by full name.
+
+    Raises:
+        ConfigError: the argument is not a YAML mapping.
+    """
     try:
         found: dict[str, Any] = flatten(budget.load_yaml(text(context, "overrides"), LONGEST_OVERRIDES) or {})
     except (budget.PlainYamlError, ConfigError) as error:
@@ -116,7 +128,11 @@ def overrides(context: LaunchContext) -> dict[str, Any]:
 
 
 def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
-    """Return the path of the configuration file and its content."""
+    """Return the path of the configuration file, and the configuration in it.
+
+    Raises:
+        ConfigError: the file cannot be read, or has an invalid value; the message names argument and file.
+    """
     path = text(context, "config")
     try:
         return path, load_config(path)
@@ -125,7 +141,11 @@ def configuration_file(context: LaunchContext) -> tuple[str, RigConfig]:
 
 
 def configured(context: LaunchContext, file: RigConfig, given: dict[str, Any]) -> RigConfig:
-    """Return the configuration of the rig; an error names the launch argument to change."""
+    """Return the configuration of the rig: that of the file with the parameters `given`.
+
+    Raises:
+        ConfigError: a value is invalid; the message names the launch argument to change.
+    """
     try:
         return from_flat(file, given)
     except ConfigError as error:
@@ -136,12 +156,16 @@ def configured(context: LaunchContext, file: RigConfig, given: dict[str, Any]) -
 
 
 def namespace_of(context: LaunchContext) -> str:
-    """Return the namespace of the nodes: the argument, below the groups of PushRosNamespace."""
+    """Return the full namespace of the nodes: the argument, relative to any group with PushRosNamespace."""
     return graph.resolve(text(context, "namespace"), context.launch_configurations.get("ros_namespace", ""))
 
 
 def required_nodes(context: LaunchContext) -> list[str]:
-    """Return the nodes whose end also ends the others."""
+    """Return the nodes whose end also ends the others.
+
+    Raises:
+        ConfigError: a name in the argument `required` is not that of a node.
+    """
     names = names_in(context, "required")
     unknown = sorted(set(names) - set(NODES))
     if unknown:
@@ -155,7 +179,7 @@ def end_with(name: str) -> Callable[[Any, LaunchContext], Shutdown | None]:
 
 
 def rviz_file(prefix: str) -> str:
-    """Return the path of the RViz configuration with the names of the frames in this namespace."""
+    """Write an RViz configuration with this prefix of the frame names into a new temporary folder; return its path."""
     text = (share_dir() / "rviz" / "impact_rig.rviz").read_text(encoding="utf-8")
     text = text.replace("FIXED_FRAME", f"{prefix}{ROOT}").replace("FRAME_PREFIX", prefix.rstrip("/") or '""')
     path = Path(tempfile.mkdtemp(prefix="impact_rig_")) / "impact_rig.rviz"
@@ -164,7 +188,11 @@ def rviz_file(prefix: str) -> str:
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    """Return the nodes; an invalid file or argument is rejected before anything starts."""
+    """Return the nodes to start.
+
+    Raises:
+        ConfigError: the configuration file or an argument is invalid; then nothing starts.
+    """
     path, file = configuration_file(context)
     given = parameters_of_rig(context, file)
     config = configured(context, file, given)
@@ -228,113 +256,123 @@ def start_nodes(context: LaunchContext) -> list[Node]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments, the environment and the nodes."""
+    """Return the launch description: arguments with their help, environment variables, and the nodes."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="rig", description="Namespace of all nodes and topics."),
             DeclareLaunchArgument(
                 "config",
                 default_value=PathJoinSubstitution([FindPackageShare("impact_rig"), "config", "nominal.yaml"]),
-                description="Configuration file of the rig; the arguments below override its values.",
+                description="Configuration file of the rig (YAML); the arguments below override its values.",
             ),
             DeclareLaunchArgument(
                 "overrides",
                 default_value="{}",
-                description="Parameters of the rig that override the file, as YAML: '{barriers.gap_m: 0.004}'.",
+                description="Parameters of the rig that override the configuration file, as YAML: "
+                "'{barriers.gap_m: 0.004}'.",
             ),
             DeclareLaunchArgument(
                 "mode",
                 default_value="",
                 choices=["", "realtime", "free_running", "lockstep"],
-                description="Pace: the clock, the peers' acknowledgements, or ~/step; empty: as in the file.",
+                description="Pace of rig time: realtime follows the clock, free_running goes as fast as the peers "
+                "acknowledge, lockstep advances by calls of ~/step. Empty: as in the configuration file.",
             ),
             DeclareLaunchArgument(
                 "factor",
                 default_value="",
-                description="Speed of realtime as a multiple of real time; empty: as in the file.",
+                description="Speed of mode realtime as a multiple of real time; empty: as in the configuration file.",
             ),
             DeclareLaunchArgument(
                 "peers",
                 default_value="",
-                description="Nodes that the rig waits for, separated by commas: before scan 0, and for every block "
-                "when not in realtime; empty: as in the file, or else analysis,recorder.",
+                description="Nodes that the rig waits for, separated by commas: before scan 0, and in the modes "
+                "free_running and lockstep for every block. Empty: as in the configuration file, or, if that names "
+                "none, analysis,recorder.",
             ),
             DeclareLaunchArgument(
                 "start_wait",
                 default_value="",
-                description="Longest wait for these nodes before scan 0 in realtime [s]; empty: as in the file.",
+                description="Longest wait for the peers before scan 0 in mode realtime [s]; empty: as in the "
+                "configuration file.",
             ),
             DeclareLaunchArgument(
                 "autostart",
                 default_value="",
                 choices=["", "true", "false"],
-                description="Configure and activate all nodes at the start; false: wait for their lifecycle services. "
-                "Empty: as in the file.",
+                description="Whether all nodes configure and activate themselves; false: they wait for requests to "
+                "their lifecycle services. Empty: as in the configuration file.",
             ),
             DeclareLaunchArgument(
                 "required",
                 default_value="rig,analysis,recorder",
-                description="Nodes whose end also ends the others, separated by commas.",
+                description="Nodes whose end also ends all others, separated by commas; empty: none.",
             ),
             DeclareLaunchArgument(
                 "clock",
                 default_value="clock",
-                description="Topic of rig time; relative: one per namespace, /clock: the global one.",
+                description="Topic of rig time: relative to the namespace, so that each rig has its own, or /clock "
+                "for all.",
             ),
             DeclareLaunchArgument(
                 "record",
                 default_value="true",
                 choices=["true", "false"],
-                description="Record from the start; false: record when the recorder's service ~/start is called.",
+                description="Whether to record from the start; false: from the recorder's service ~/start on.",
             ),
             DeclareLaunchArgument(
-                "record_directory", default_value="runs", description="Directory in which run directories are created."
+                "record_directory",
+                default_value="runs",
+                description="Directory in which the directory of each run is created, relative to the present one.",
             ),
             DeclareLaunchArgument(
                 "plot",
                 default_value="true",
                 choices=["true", "false"],
-                description="Publish the topics for plotters, plot/...",
+                description="Whether to start the plot node, which publishes the topics for plotters, plot/...",
             ),
             DeclareLaunchArgument(
                 "lab",
                 default_value="false",
                 choices=["true", "false"],
-                description="Serve the page of the live laboratory; its address is printed.",
+                description="Whether to serve the page of the live laboratory; its address is printed.",
             ),
             DeclareLaunchArgument(
                 "state_publisher",
                 default_value="false",
                 choices=["true", "false"],
-                description="Publish the rig's bodies to TF with robot_state_publisher.",
+                description="Whether to publish the rig's bodies to TF with robot_state_publisher.",
             ),
             DeclareLaunchArgument(
                 "rviz",
                 default_value="false",
                 choices=["true", "false"],
-                description="Show the rig in RViz, with robot_state_publisher.",
+                description="Whether to show the rig in RViz; this also starts robot_state_publisher.",
             ),
             DeclareLaunchArgument(
                 "frame_prefix",
                 default_value="auto",
-                description="Prefix of all frames; auto: the namespace of the nodes and a slash.",
+                description="Prefix of all tf frames; auto: as in the configuration file, or, if that names none, the "
+                "namespace and a slash. Empty: no prefix.",
             ),
             DeclareLaunchArgument(
                 "enclave",
                 default_value="",
-                description="SROS2 enclave above those of the nodes: /rig gives /rig/analysis its own; empty: none.",
+                description="SROS2 enclave that contains those of the nodes: with /rig, the analysis has the enclave "
+                "/rig/analysis. Empty: no enclaves.",
             ),
             DeclareLaunchArgument(
                 "log_level",
                 default_value="info",
                 choices=["debug", "info", "warn", "error", "fatal"],
-                description="Least severity of the messages that are shown.",
+                description="Least severity of the log messages that are shown.",
             ),
             DeclareLaunchArgument(
                 "discovery",
                 default_value="LOCALHOST",
                 choices=["LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"],
-                description="Range in which the rig is visible: this machine, its network, or that of the environment.",
+                description="Range in which nodes find each other: this machine, its network, or as the middleware's "
+                "own configuration says.",
             ),
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery")),
             # launch ends its nodes after Ctrl-C only; if it is terminated or killed otherwise, they end with it

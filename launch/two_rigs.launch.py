@@ -31,7 +31,7 @@ FORWARDED = ("mode", "factor", "record", "log_level", "discovery")
 
 
 def rig(which: str) -> GroupAction:
-    """Return one rig, its arguments kept to itself."""
+    """Return the actions that start the rig `which` (first or second), with its arguments kept to itself."""
     arguments = {name: LaunchConfiguration(name) for name in FORWARDED}
     return GroupAction(
         [
@@ -55,29 +55,50 @@ def rig(which: str) -> GroupAction:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and the two rigs."""
+    """Return the launch description: arguments with their help, and the two rigs."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("first", default_value="rig1", description="Namespace of the first rig."),
             DeclareLaunchArgument("second", default_value="rig2", description="Namespace of the second rig."),
             DeclareLaunchArgument(
-                "first_overrides", default_value="{}", description="Parameters of the first rig, as YAML."
+                "first_overrides",
+                default_value="{}",
+                description="Parameters of the first rig, as YAML: '{barriers.gap_m: 0.004}'.",
             ),
             DeclareLaunchArgument(
                 "second_overrides",
                 default_value="{daq.seed: 2}",
                 description="Parameters of the second rig, as YAML; another seed is another set of instruments.",
             ),
-            DeclareLaunchArgument("mode", default_value="", description="As in rig.launch.py, for both."),
-            DeclareLaunchArgument("factor", default_value="", description="As in rig.launch.py, for both."),
-            DeclareLaunchArgument("record", default_value="true", description="As in rig.launch.py, for both."),
+            DeclareLaunchArgument(
+                "mode",
+                default_value="",
+                description="Pace of both rigs: realtime, free_running or lockstep; empty: as in config/nominal.yaml.",
+            ),
+            DeclareLaunchArgument(
+                "factor",
+                default_value="",
+                description="Speed of both rigs in mode realtime as a multiple of real time; empty: 1.",
+            ),
+            DeclareLaunchArgument(
+                "record",
+                default_value="true",
+                description="Whether both recorders record from the start; false: from calls of ~/start on.",
+            ),
             DeclareLaunchArgument(
                 "record_directory",
                 default_value="runs",
-                description="Directory in which run directories are created, with a folder for each rig.",
+                description="Directory in which each rig gets a folder, named like its namespace, for its run "
+                "directories.",
             ),
-            DeclareLaunchArgument("log_level", default_value="info", description="As in rig.launch.py, for both."),
-            DeclareLaunchArgument("discovery", default_value="LOCALHOST", description="As in rig.launch.py."),
+            DeclareLaunchArgument(
+                "log_level", default_value="info", description="Least severity of the log messages that are shown."
+            ),
+            DeclareLaunchArgument(
+                "discovery",
+                default_value="LOCALHOST",
+                description="Range in which nodes find each other: LOCALHOST, SUBNET or SYSTEM_DEFAULT.",
+            ),
             rig("first"),
             rig("second"),
         ]

@@ -416,14 +416,15 @@ class Rig:
 
         Args:
             frequency_hz: new frequency [Hz], for a sine only; None leaves it unchanged.
-            amplitude: new amplitude, peak (rms for random drive), in A, m or V by `drive.kind`. None: unchanged.
+            amplitude: new amplitude, peak (rms for random drive), in A, m or V by `drive.kind`, not for a stream. None
+                leaves it unchanged.
 
         Returns:
             The table that is published on `shaker/applied`: one row with the first scan that the command acts on.
 
         Raises:
-            CommandError: a value is out of range or not finite; the waveform does not accept it (a sine accepts both,
-                a stream neither, any other an amplitude only); or the shaker is latched or locked. Nothing is changed.
+            CommandError: a value is out of range or not finite, the waveform does not accept it, or the shaker is
+                latched or locked. Nothing is changed.
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
