@@ -34,8 +34,8 @@ EXAMPLES = [
     "examples",
     "examples/adapters",
     "examples/c",
-    "examples/golden/test_regression/test_the_analysis_finds_what_it_found",
-    "examples/golden/test_regression/test_the_rig_gives_the_readings_it_gave",
+    "examples/golden/test_regression/test_the_analysis_reproduces_the_stored_results",
+    "examples/golden/test_regression/test_the_rig_reproduces_the_stored_readings",
 ]
 ROS_WHEELS = ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"]
 

@@ -36,7 +36,7 @@ def description() -> LaunchDescription:
 
 
 @pytest.mark.launch(fixture=description)
-def test_the_launched_rig_measures() -> None:
+def test_a_launched_rig_measures_its_transmissibility() -> None:
     """A driven rig settles, and its transmissibility is published."""
     with Client(namespace="/rig") as client:
         client.wait_active("rig", "analysis")

@@ -27,7 +27,7 @@ def expected(rig):
     return abs(rig.expected_transmissibility(9.1))
 
 
-def test_it_measures_the_closed_form(ros_rig):
+def test_the_node_measures_the_transmissibility_of_the_closed_form(ros_rig):
     rig = ros_rig(LINEAR, hosted=True)
     rig.host(DtNode)
     dt = rig.listen("dt")
@@ -36,7 +36,7 @@ def test_it_measures_the_closed_form(ros_rig):
     assert dt.messages[-1].data == pytest.approx(expected(rig), rel=TOLERANCE)
 
 
-def test_lost_blocks_are_noticed_and_cost_one_window(ros_rig):
+def test_each_gap_of_lost_blocks_costs_one_window(ros_rig):
     """Three gaps, the last of a single block; every value published is right all the same.
 
     Windows take a second, and a second of settling. They end at 2, 3 and 4 s (the first two while the rig still starts
@@ -55,7 +55,7 @@ def test_lost_blocks_are_noticed_and_cost_one_window(ros_rig):
     assert settled == pytest.approx([expected(rig)] * len(settled), rel=TOLERANCE)
 
 
-def test_clipping_gives_no_value_rather_than_a_wrong_one(virtual_rig):
+def test_clipped_samples_yield_no_value_instead_of_a_wrong_one(virtual_rig):
     """The laser limits at +-3 mm for a second; the same pipeline without ROS, as the algorithm is what matters."""
     rig = virtual_rig(
         {**LINEAR, "drive.amplitude": 0.52},

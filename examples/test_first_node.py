@@ -17,7 +17,7 @@ import pytest
 from first_node import FirstNode
 
 
-def test_it_drives_the_rig_and_hears_what_is_measured(ros_rig):
+def test_the_node_drives_the_rig_and_receives_the_measurements(ros_rig):
     rig = ros_rig({"barriers.gap_m": 6e-3})
     rig.processes.start("analysis")
     rig.follow("analysis")

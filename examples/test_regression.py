@@ -54,29 +54,29 @@ def readings(path):
     return {f"{name}[{scan}]": scans[name][scan] / step[name] for name in step for scan in range(0, len(scans), 250)}
 
 
-def test_the_analysis_finds_what_it_found(recorded, golden):
+def test_the_analysis_reproduces_the_stored_results(recorded, golden):
     golden.values(analyse(recorded), rel=FLIPPED)
 
 
-def test_what_it_found_is_right(recorded, virtual_rig):
+def test_the_stored_results_agree_with_the_closed_form(recorded, virtual_rig):
     expected = virtual_rig(RIG).expected_transmissibility(DRIVE_HZ)
     assert analyse(recorded)["transmissibility"] == pytest.approx(abs(expected), rel=0.01)
 
 
-def test_a_change_of_the_analysis_is_noticed(recorded, golden):
+def test_a_change_of_the_analysis_changes_the_results(recorded, golden):
     """Without the correction of the laser's lag: 0.7 ms are 2 degrees at 8.5 Hz."""
-    right = Golden(golden.directory.parent / test_the_analysis_finds_what_it_found.__name__, update=False)
+    right = Golden(golden.directory.parent / test_the_analysis_reproduces_the_stored_results.__name__, update=False)
     with pytest.raises(AssertionError, match="phase_deg"):
         right.values(analyse(recorded, correct_lag=False), rel=FLIPPED)
 
 
-def test_the_rig_gives_the_readings_it_gave(recorded, golden):
+def test_the_rig_reproduces_the_stored_readings(recorded, golden):
     golden.values(readings(recorded), rel=0.0, abs=STEPS)
 
 
-def test_a_change_of_the_rig_is_noticed(tmp_path, golden):
+def test_a_change_of_the_rig_changes_the_readings(tmp_path, golden):
     """A structure tuned 1 mHz higher: the laser's readings differ by up to 28 of those steps."""
-    right = Golden(golden.directory.parent / test_the_rig_gives_the_readings_it_gave.__name__, update=False)
+    right = Golden(golden.directory.parent / test_the_rig_reproduces_the_stored_readings.__name__, update=False)
     changed = record(tmp_path / "run", **{"structure.natural_frequency_hz": 9.106})
     with pytest.raises(AssertionError, match="laser"):
         right.values(readings(changed), rel=0.0, abs=STEPS)

@@ -34,7 +34,7 @@ def settle(rig, errors, limit_s):
     return rig.wait_until(settled, "three phase errors below 3 degrees", limit_s=limit_s, every_s=0.5)
 
 
-def test_it_finds_the_resonance_of_the_structure(ros_rig):
+def test_the_node_finds_the_resonance_of_the_structure(ros_rig):
     rig = ros_rig({**RIG, "sphere.present": False, "drive.frequency_hz": 8.5}, hosted=True)
     node = rig.host(ResonanceNode)
     settle(rig, rig.listen("phase_error"), limit_s=60)
@@ -43,7 +43,7 @@ def test_it_finds_the_resonance_of_the_structure(ros_rig):
     assert node.frequency_hz == pytest.approx(quarter_cycle_hz, abs=0.003)
 
 
-def test_it_holds_it_while_the_gap_changes(ros_rig):
+def test_the_node_stays_at_the_resonance_while_the_gap_changes(ros_rig):
     """The sphere lowers the resonance by a few parts in a thousand; how much depends on the gap."""
     rig = ros_rig({**RIG, "barriers.gap_m": 0.010, "drive.frequency_hz": 9.0}, hosted=True)
     node = rig.host(ResonanceNode)

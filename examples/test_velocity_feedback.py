@@ -20,7 +20,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.rig_node import RigNode
 
 
-def test_what_it_sends_drives_the_rig():
+def test_the_samples_of_the_controller_drive_the_rig():
     settings = {"drive.waveform": "stream", "sphere.present": False}
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(RigNode, parameter_overrides=ros_parameters(settings))

@@ -29,13 +29,13 @@ from gymnasium_env import SCALES, STEP_S, ImpactRigEnv
 from impact_rig.driver import LocalRig
 
 
-def test_the_checker_finds_nothing(recwarn):
+def test_the_environment_passes_the_checks_of_gymnasium(recwarn):
     check_env(gymnasium.make("ImpactRig-v0").unwrapped)
     assert not [str(one.message) for one in recwarn if "gymnasium" in str(one.filename)]
 
 
 @pytest.mark.parametrize("kind", [SyncVectorEnv, AsyncVectorEnv])
-def test_parallel_environments_return_the_same_as_a_single_one(kind):
+def test_parallel_environments_return_the_same_observations_as_a_single_one(kind):
     make = functools.partial(gymnasium.make, "gymnasium_env:ImpactRig-v0")
     envs, alone = kind([make, make]), make()
     (first, _), (second, _) = envs.reset(seed=[3, 4]), alone.reset(seed=4)
@@ -64,7 +64,7 @@ def test_an_observation_is_the_true_motion_of_the_rig():
     env.close()
 
 
-def test_memory_does_not_grow_with_episodes():
+def test_memory_does_not_grow_with_the_number_of_episodes():
     env = ImpactRigEnv()
 
     def episode():

@@ -31,7 +31,7 @@ SETTINGS = {
 }  # fmt: skip
 
 
-def test_an_acquisition_alone():
+def test_an_acquisition_without_generation_returns_all_samples():
     acquisition = RigAcquisition(LocalRig({**SETTINGS, "drive.waveform": "sine", "drive.amplitude": 0.3}))
     acquisition.run_acquisition(2.0)
     found = acquisition.get_measurement_dict()

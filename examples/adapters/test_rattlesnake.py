@@ -178,7 +178,7 @@ def received(data_in):
 
 
 @pytest.mark.parametrize("rate_hz", [2_000, 10_000])
-def test_its_processes_drive_the_rig_and_stream_what_they_read(rate_hz, tmp_path, monkeypatch):
+def test_the_processes_of_rattlesnake_drive_the_rig_and_stream_their_readings(rate_hz, tmp_path, monkeypatch):
     with rattlesnake(rate_hz, tmp_path, monkeypatch) as (queues, parameters):
         put = queues.streaming_command_queue.put
         put("test", (GlobalCommands.INITIALIZE_STREAMING, (str(tmp_path / "run.nc4"), parameters, {})))
@@ -249,7 +249,9 @@ def wait_for(updates, name, count=1):
 
 @pytest.mark.parametrize("rate_hz", [2_000, 10_000])
 @pytest.mark.parametrize("law", LAWS)
-def test_its_random_vibration_environment_controls_the_base(law, rate_hz, tmp_path, monkeypatch, capsys):
+def test_the_random_vibration_environment_controls_the_acceleration_of_the_base(
+    law, rate_hz, tmp_path, monkeypatch, capsys
+):
     """A random vibration test of a shaker without the sphere: acceleration of the base, 5 to 200 Hz in lines of 1 Hz.
 
     3 dB are the usual tolerance of such a test, for the mean of 40 half-overlapping frames. The law has 40 frames to
@@ -284,7 +286,7 @@ def test_its_random_vibration_environment_controls_the_base(law, rate_hz, tmp_pa
     assert within >= LEAST_WITHIN
 
 
-def test_the_law_reaches_a_density_of_the_base():
+def test_the_control_law_reaches_the_specified_density_of_the_base():
     """All lines of a linear rig's response are within 3 dB after three corrections."""
     transfer = np.random.default_rng(2).standard_normal((400, 1, 1)) * (1.0 + 1.0j)
     wanted = np.full((400, 1, 1), 1e-6, complex)

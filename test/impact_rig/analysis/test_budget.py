@@ -54,13 +54,13 @@ ROOT = Path(__file__).parents[3]
         (math.inf, 1.0, "- ± 2"),
     ],
 )
-def test_value_and_uncertainty_have_two_significant_digits_of_2u(value, u, text):
+def test_values_are_rounded_to_two_significant_digits_of_2u(value, u, text):
     assert plus_minus(value, u) == text
     assert " ± ".join(rounded(np.float64(value), np.float64(u))) == text
 
 
 @pytest.mark.parametrize("package", ["impact_rig", "impact_rig_studies", "impact_rig_lab"])
-def test_no_program_chooses_the_digits_of_an_uncertainty_by_itself(package):
+def test_all_programs_round_uncertainties_with_the_same_function(package):
     own = re.compile(r'(?:± "?\n? *f?"?\{|figure\()(?:2|200)(?:\.0)? \*|± \{(?:COVERAGE|u:)')
     for path in (ROOT / package).rglob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -99,7 +99,7 @@ def test_the_parts_add_up_to_the_stated_uncertainty(calibration, lag_u):
     assert found.transmissibility == rows["transmissibility"][0]
 
 
-def test_each_line_is_what_its_name_says(calibration):
+def test_each_line_of_the_budget_is_the_contribution_that_it_names(calibration):
     found = budget(rows_of(calibration, LAG_U), calibration, LAG_U)
     lines = {(part.source, part.what): part for part in found.parts}
     assert lines["measurement", "noise, scatter, remnant"].u_relative == pytest.approx(NOISE, rel=1e-6)
@@ -114,7 +114,7 @@ def test_each_line_is_what_its_name_says(calibration):
         assert lines[name, "lag"].evaluation == "B"
 
 
-def test_the_curve_of_a_velocity_sensor_acts_on_its_reading():
+def test_nonlinearity_of_a_velocity_sensor_acts_on_its_reading():
     info = info_rows(gain_u=GAIN_U)
     info["unit"][LASER], info["range_low"][LASER], info["range_high"][LASER] = b"m/s", -0.5, 0.5
     info["linearity"][LASER] = 1e-3

@@ -26,7 +26,7 @@ from impact_rig.blocks import Column, Table, row_type
 from impact_rig.errors import ConfigError
 
 
-def test_status_bits_follow_the_names_not_the_places():
+def test_status_bits_follow_the_names_of_channels_not_their_positions():
     names = ("force", "current", "laser", "accelerometer", "base")
     rows = np.zeros(
         3, row_type([*(Column(name, "-", "") for name in ("time", *names)), Column("status", "-", "", "u1")])
@@ -35,7 +35,7 @@ def test_status_bits_follow_the_names_not_the_places():
     assert status_of(rows).tolist() == [1 << LASER, 0, 0]
 
 
-def test_a_channel_more_is_no_matter_one_less_was_not_measured_and_none_or_one_twice_is_refused():
+def test_calibration_tolerates_extra_and_absent_channels_but_rejects_none_and_duplicates():
     rows = info_rows()
     more = np.concatenate([rows[:1], rows])
     more["name"][0] = b"force"
@@ -46,7 +46,7 @@ def test_a_channel_more_is_no_matter_one_less_was_not_measured_and_none_or_one_t
             Calibration.from_info(wrong)
 
 
-def test_a_scan_without_a_channel_that_the_calibration_has_is_refused_and_names_it():
+def test_a_scan_that_lacks_a_calibrated_channel_is_rejected_with_its_name():
     rows = np.zeros(4, row_type([Column(name, "-", "") for name in ("time", "base", "current")]))
     tracker = Tracker()
     tracker.configure(Table(0, info_rows()[[ACCELEROMETER, LASER, BASE, CURRENT]]))

@@ -63,7 +63,7 @@ def test_each_cycle_is_the_least_squares_fit_of_its_samples(frequency_hz):
     samples=st.integers(30, 400),
     harmonics=st.integers(1, 5),
 )
-def test_closed_form_normal_matrix_is_the_summed_one(phase, step, samples, harmonics):
+def test_the_closed_form_of_the_normal_matrix_equals_the_sum(phase, step, samples, harmonics):
     angle = phase + step * np.arange(samples)
     design = np.column_stack(
         [np.ones(samples), *[f(h * angle) for h in range(1, harmonics + 1) for f in (np.cos, np.sin)]]
@@ -74,7 +74,7 @@ def test_closed_form_normal_matrix_is_the_summed_one(phase, step, samples, harmo
 
 @settings(max_examples=20)
 @given(cuts=st.lists(st.integers(1, 19_999), max_size=30, unique=True), frequency_hz=st.floats(5.0, 200.0))
-def test_no_bit_depends_on_the_cut(cuts, frequency_hz):
+def test_results_do_not_depend_on_the_division_into_blocks(cuts, frequency_hz):
     samples = np.random.default_rng(2).standard_normal((4, 20_000))
     whole = reduced(samples, 10_000, frequency_hz, [])
     parts = reduced(samples, 10_000, frequency_hz, cuts)
@@ -91,7 +91,7 @@ def test_cycles_tile_the_stream_without_drift():
     assert np.array_equal(cycles.first - 77, np.ceil(np.arange(len(cycles)) * 25_600 / 9.1))
 
 
-def test_taking_in_portions_is_taking_at_once():
+def test_cycles_taken_in_portions_equal_those_taken_at_once():
     samples = np.random.default_rng(3).standard_normal((4, 30_000))
     accumulator = Accumulator(10_000, 50.0, 2, 0, -WIDE, WIDE)
     accumulator.add(samples, np.zeros(30_000, np.uint8), 0, 30_000)
@@ -117,7 +117,7 @@ def test_cycles_end_with_the_scan_that_completes_them(frequency_hz):
         done = end
 
 
-def test_flags_name_channel_and_kind():
+def test_flags_name_the_channel_and_the_kind_of_problem():
     samples = np.zeros((4, 3000))
     samples[1, 150], samples[2, 1050], samples[0, 2050] = 2.0, np.nan, -np.inf
     status = np.zeros(3000, np.uint8)
@@ -143,7 +143,7 @@ def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
 @given(st.floats(8.0, 40.0), st.integers(1, 9))
 @settings(deadline=None)
 @example(8.9, 5)  # 8.9 scans a cycle: 0.45 of them allow 4 harmonics, but a cycle of 8 scans cannot tell 9 unknowns
-def test_every_cycle_determines_its_harmonics(scans_per_cycle, wanted):
+def test_every_cycle_has_enough_samples_for_its_harmonics(scans_per_cycle, wanted):
     rate, count = 10_000.0, usable_harmonics(10_000.0, 10_000.0 / scans_per_cycle, wanted)
     wave = np.cos(2.0 * np.pi / scans_per_cycle * np.arange(400))
     cycles = reduced(np.tile(wave, (4, 1)), rate, rate / scans_per_cycle, [], count)
@@ -152,7 +152,7 @@ def test_every_cycle_determines_its_harmonics(scans_per_cycle, wanted):
     np.testing.assert_allclose(np.abs(cycles.phasors), np.broadcast_to(expected, cycles.phasors.shape), atol=1e-6)
 
 
-def test_fits_without_degrees_of_freedom_leave_no_variance():
+def test_a_fit_without_degrees_of_freedom_has_no_variance():
     """With 11 scans per cycle, 5 harmonics and a mean, there are as many unknowns as scans."""
     n, channels, harmonics = 6, 4, 5
     cycles = Cycles(

@@ -35,7 +35,7 @@ def png(figure):
     return stream.getvalue()
 
 
-def test_curves_show_every_sound_row_with_its_uncertainty():
+def test_curves_show_every_valid_row_with_its_uncertainty():
     rows = np.zeros(4, TRANSMISSIBILITY)
     rows["frequency"], rows["transmissibility"] = (9.1, 8.0, 10.0, 9.0), (110.0, 4.4, np.nan, 40.0)
     rows["transmissibility_uncertainty"], rows["phase"], rows["phase_uncertainty"] = 1.0, -1.0, 0.01
@@ -64,14 +64,14 @@ def test_traces_mark_the_impacts():
     assert [len(axis.lines) for axis in drawings.time_traces(rows).axes] == [1, 1, 1]
 
 
-def test_a_phase_plane_of_few_samples_is_smoothed_over_all_of_them():
+def test_a_phase_plane_with_few_samples_is_smoothed_over_all_of_them():
     """100 scans at 50 kS/s are shorter than a fortieth of a cycle of 9.1 Hz."""
     x = 1e-3 * np.sin(2 * np.pi * 9.1 * np.arange(100) / 50_000)
     line = drawings.phase_plane(x, 50_000, smooth_s=1 / (40 * 9.1)).axes[0].lines[0]
     np.testing.assert_allclose(line.get_ydata()[50], 2e-3 * np.pi * 9.1 * np.cos(2 * np.pi * 9.1 * 1e-3), rtol=1e-3)
 
 
-def test_the_phase_plane_of_a_sine_is_its_ellipse():
+def test_the_phase_plane_of_a_sine_is_an_ellipse():
     rate, amplitude, omega = 10_000.0, 5e-3, 2 * np.pi * 9.1
     x = amplitude * np.cos(omega * np.arange(5000) / rate)
     line = drawings.phase_plane(x, rate).axes[0].lines[0]

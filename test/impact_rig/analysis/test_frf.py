@@ -69,7 +69,7 @@ def test_estimators_agree_with_pyfrf(estimator):
     assert np.allclose(found[100:140], expected[100:140], rtol=5e-4)  # 50 to 70 Hz, the resonance
 
 
-def test_estimators_stand_in_their_known_order():
+def test_estimates_are_ordered_h1_hv_h2_when_both_channels_are_noisy():
     """With noise on both channels, |H1| is too small, |H2| too large, and Hv with the right κ nearest to the truth."""
     x, y, (b, a) = records(0.5, 0.05, n=400_000)
     found = frf(x, y, RATE, 1000, noise_ratio=0.01)
@@ -81,7 +81,7 @@ def test_estimators_stand_in_their_known_order():
     assert np.abs(hv / truth - 1).mean() < 0.03 < np.abs(h1 / truth - 1).mean()
 
 
-def test_uncertainty_is_that_of_repeated_records():
+def test_the_stated_uncertainty_is_the_scatter_of_repeated_records():
     repeats = [frf(*records(0.0, 0.5, n=20_000, seed=s)[:2], RATE, 1000) for s in range(60)]
     band = (repeats[0].frequency_hz > 20) & (repeats[0].frequency_hz < 150)
     values = np.array([one.h1[band] for one in repeats])
@@ -138,7 +138,7 @@ def dip(base, rate, zeta):
 
 @pytest.mark.parametrize("zeta", [0.0045, 0.02])
 @pytest.mark.parametrize("shaker", [False, True], ids=["prescribed", "current"])
-def test_segments_are_as_long_as_the_resonance_asks(zeta, shaker):
+def test_segments_are_long_enough_to_resolve_the_resonance(zeta, shaker):
     """A response is resolved within 2 %, or its uncertainty contains the error, as with segments of 10 s."""
     rate, info = 200, info_rows(200, gain_u=1e-4)
     base = band_limited(1200, 6.0, 12.0)
@@ -161,7 +161,7 @@ def test_segments_are_as_long_as_the_resonance_asks(zeta, shaker):
     assert low < 2 * coarse.u_relative[peak]
 
 
-def test_a_record_too_short_for_its_resonance_says_so_and_an_asked_damping_counts():
+def test_a_record_too_short_for_its_resonance_is_marked_and_a_given_damping_is_used():
     info = info_rows(200)
     rows = linear_rig(band_limited(100, 6.0, 12.0), 200, info, 0.0045)
     found = transmissibility_frf(rows, info)
@@ -179,7 +179,7 @@ def test_a_periodic_excitation_leaks_nothing_through_a_rectangular_window():
     assert transmissibility_frf(rows, info, 4100, window="boxcar").bias > 0.3
 
 
-def test_lines_count_as_excited_by_the_excitation_alone():
+def test_only_lines_of_the_excitation_count_as_excited():
     """Leakage of a sine and the tails of a band are coherent as well, but not excited."""
     info, time = info_rows(200), np.arange(100 * 200) / 200
     sine = transmissibility_frf(linear_rig(1e-4 * np.sin(2 * np.pi * 9.1 * time), 200, info), info, 2000)
@@ -195,7 +195,7 @@ def test_lines_count_as_excited_by_the_excitation_alone():
     assert not len(transmissibility_frf(rows, info).excited), "that is the sensor's own noise"
 
 
-def test_no_resonance_is_found_where_there_is_none():
+def test_a_response_without_a_resonance_yields_no_resonance():
     rng = np.random.default_rng(4)
     x = band_limited(100, 6.0, 12.0)
     assert find_resonance(x, x + 1e-4 * rng.standard_normal(len(x)), 200, 6.0, 12.0) is None
@@ -220,6 +220,6 @@ def test_resolution_follows_the_window():
         (np.zeros(100), np.arange(100.0), 50, "constant"),
     ],
 )
-def test_nonsense_is_refused(x, y, segment, message):
+def test_invalid_arguments_are_rejected(x, y, segment, message):
     with pytest.raises(ValueError, match=message):
         frf(x, y, RATE, segment)

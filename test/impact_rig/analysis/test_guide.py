@@ -23,12 +23,12 @@ from impact_rig.states import Status
 PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "analysis.md"
 
 
-def test_the_example_runs(capsys):
+def test_the_example_of_the_guide_runs(capsys):
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     exec(compile(code, str(PAGE), "exec"), {})
     assert capsys.readouterr().out == "DT = 100.0 ± 0.6, phase -85.9°\n"
 
 
-def test_every_status_is_explained():
+def test_the_guide_explains_every_status():
     text = PAGE.read_text(encoding="utf-8")
     assert [status.value for status in Status if f"`{status.value}`" not in text] == []

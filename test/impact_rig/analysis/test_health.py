@@ -95,7 +95,7 @@ def noise(channel, rms):
         pytest.param(noise("current", 0.5), "current_unsound", None, id="current noise"),
     ],
 )
-def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(spoil, status, channel):
+def test_a_fault_during_a_measurement_is_named_and_no_wrong_row_looks_good(spoil, status, channel):
     rows, truth = record(seconds=40.0), linear_transmissibility(9.1)
     spoil(rows, np.random.default_rng(8))
     found = [table.rows[0] for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
@@ -115,7 +115,7 @@ def test_a_fault_in_a_running_measurement_is_named_and_no_wrong_row_looks_good(s
         assert all(np.isnan(row["current_amplitude"]) for row in named)
 
 
-def test_a_current_that_is_not_there_is_no_number_and_one_that_comes_back_is_believed_again():
+def test_an_absent_current_is_nan_and_a_restored_current_is_reported_again():
     """Otherwise, a closed loop that controls the current would raise it to its limit."""
     rows = record(seconds=30.0)
     rows["current"][: 10 * RATE] = 1e-3 * np.random.default_rng(5).standard_normal(10 * RATE)
@@ -125,7 +125,7 @@ def test_a_current_that_is_not_there_is_no_number_and_one_that_comes_back_is_bel
     assert np.isfinite(later[-1]["current_amplitude"])
 
 
-def test_a_gain_that_comes_back_is_believed_again():
+def test_a_gain_that_returns_to_normal_is_trusted_again():
     rows = record(seconds=45.0)
     rows["base"][FAULT_AT : FAULT_AT + 8 * RATE] *= 1.05
     found = [table.rows[0]["status"].decode() for table in feed_all(tracker(), blocks(rows, RATE, 20))[0]]
@@ -133,7 +133,7 @@ def test_a_gain_that_comes_back_is_believed_again():
     assert found[-1] == "ok"
 
 
-def test_what_is_only_noise_is_not_called_wired_wrongly():
+def test_a_channel_of_pure_noise_is_not_called_miswired():
     """With x_1 of 0.6 µm and noise of 3 µm, any phase is possible: the channel must not be called inverted."""
     rng, words = np.random.default_rng(4), set()
     for _ in range(60):
@@ -142,7 +142,7 @@ def test_what_is_only_noise_is_not_called_wired_wrongly():
     assert words.isdisjoint({Status.INVERTED_CHANNEL, Status.SWAPPED_CHANNELS}), words
 
 
-def test_hardly_any_damping_is_no_wire_the_wrong_way_round():
+def test_a_lightly_damped_structure_is_not_called_miswired():
     """With ζ = 1e-5, x_1 is opposite to x_b to within noise of 0.6°, so it leads in half of the draws."""
     rng, leads = np.random.default_rng(4), 0
     for _ in range(40):
@@ -163,7 +163,7 @@ def test_a_laser_with_a_wrong_gain_from_the_start_contradicts_the_accelerometer(
     assert LASER_M > 5e-3
 
 
-def test_an_acceleration_below_the_step_of_its_converter_contradicts_nothing():
+def test_an_acceleration_below_one_converter_step_does_not_contradict_the_laser():
     """With 0.2 m/s² and steps of 0.85, the reading is zero, or twice the true value, depending on the zero error."""
     step, info = 0.85, info_rows(RATE)
     info["converter_step"][0] = info["resolution"][0] = step
@@ -174,7 +174,7 @@ def test_an_acceleration_below_the_step_of_its_converter_contradicts_nothing():
         assert measure_record(rows, info, 9.1).status is Status.OK, offset
 
 
-def test_sensitivities_that_are_poorly_known_contradict_nothing():
+def test_sensors_with_uncertain_sensitivities_do_not_contradict_each_other():
     info, rows = info_rows(RATE), record(seconds=7.0)
     rows["accelerometer"] *= 1.08
     assert measure_record(rows, info, 9.1).status is Status.IMPLAUSIBLE

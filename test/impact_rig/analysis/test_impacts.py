@@ -60,7 +60,7 @@ def matched(found, times, rate_hz, tolerance_s=0.5e-3):
 
 
 @pytest.mark.parametrize("rate_hz", [250_000, 500_000, 1_000_000])
-def test_impacts_of_the_fastest_boards_are_timed_as_well(rate_hz):
+def test_impacts_are_timed_correctly_at_the_rates_of_the_fastest_boards(rate_hz):
     """The look-ahead is long at 430 kS/s and more; a history shorter than it would shift onsets by 12 µs to 12 ms."""
     times = np.arange(0.05, 0.25, 0.0137)
     acceleration = background(0.3, rate_hz)
@@ -70,7 +70,7 @@ def test_impacts_of_the_fastest_boards_are_timed_as_well(rate_hz):
     assert np.abs(errors).max() < 10e-6 * rate_hz
 
 
-def test_default_instruments_at_50_ks_find_every_impact_above_0_02_m_s():
+def test_default_instruments_at_50_ks_find_the_impacts_above_0_02_m_s():
     """Acceptance figures: ≥ 99 % found, ≤ 1 % false, timing within one scan; here for 600 impacts from 0.02 m/s on."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=2)
     acceleration = background(12.0, FAST)
@@ -86,7 +86,7 @@ def test_default_instruments_at_50_ks_find_every_impact_above_0_02_m_s():
 @pytest.mark.parametrize(
     ("rate_hz", "share", "false_share", "worst_scans"), [(25_600, 0.99, 0.02, 2.0), (10_000, 0.85, 0.03, 5.0)]
 )
-def test_lower_rates_are_documented_not_hidden(rate_hz, share, false_share, worst_scans):
+def test_lower_rates_find_the_documented_share_of_impacts(rate_hz, share, false_share, worst_scans):
     """At 10 kS/s, a pulse of 40 µs may fall between two scans; the figures are in docs/explanation/analysis.md."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=3)
     acceleration = background(12.0, rate_hz)
@@ -99,17 +99,17 @@ def test_lower_rates_are_documented_not_hidden(rate_hz, share, false_share, wors
 
 @pytest.mark.parametrize(("frequency_hz", "amplitude"), [(9.1, 20.0), (5.0, 5.0), (200.0, 20.0), (9.1, 0.0)], ids=str)
 @pytest.mark.parametrize("rate_hz", [10_000, 50_000])
-def test_vibration_and_noise_are_no_impacts(rate_hz, frequency_hz, amplitude):
+def test_vibration_and_noise_are_not_detected_as_impacts(rate_hz, frequency_hz, amplitude):
     for seed in range(3):
         quiet = background(4.0, rate_hz, frequency_hz=frequency_hz, amplitude=amplitude, seed=seed)
         assert len(detector(rate_hz).feed(quiet)) == 0
 
 
-def test_an_offset_or_a_sudden_start_is_no_impact():
+def test_an_offset_or_a_sudden_start_is_not_detected_as_an_impact():
     assert len(detector().feed(background(1.0, FAST) + 100.0)) == 0
 
 
-def test_a_ringing_sensor_is_counted_once():
+def test_an_impact_with_a_ringing_sensor_is_counted_once():
     acceleration = background(2.0, FAST, amplitude=0.0)
     add_impacts(acceleration, FAST, [0.5, 1.0, 1.5], [0.9, 0.9, 0.9], [1, -1, 1])
     found = detector().feed(acceleration)
@@ -117,7 +117,7 @@ def test_a_ringing_sensor_is_counted_once():
     assert found["sign"].tolist() == [1, -1, 1]
 
 
-def test_noisier_sensors_raise_the_threshold_by_themselves():
+def test_the_threshold_rises_with_the_noise_of_the_sensor():
     rng = np.random.default_rng(4)
     noisy = background(3.0, FAST) + 1.0 * rng.standard_normal(3 * FAST)
     info = info_rows(FAST)
@@ -125,7 +125,7 @@ def test_noisier_sensors_raise_the_threshold_by_themselves():
     assert len(ImpactDetector(Calibration.from_info(info)).feed(noisy)) == 0
 
 
-def test_a_sensor_exchanged_in_mid_run_is_timed_and_judged_by_its_own_calibration():
+def test_an_accelerometer_exchanged_during_a_run_is_used_with_its_own_calibration():
     """After a new calibration, lag and noise are those of the new accelerometer."""
     acceleration = background(1.0, FAST)
     add_impacts(acceleration, FAST, [0.3, 0.8], [0.3, 0.3], [1, 1])
@@ -141,7 +141,7 @@ def test_a_sensor_exchanged_in_mid_run_is_timed_and_judged_by_its_own_calibratio
     assert exchanged._state[2] == 100.0**2
 
 
-def test_results_do_not_depend_on_the_cut():
+def test_results_do_not_depend_on_the_division_into_blocks():
     times, speeds, signs = drawn_impacts(100, 2.0, seed=5)
     acceleration = background(2.0, FAST)
     add_impacts(acceleration, FAST, times, speeds, signs)
@@ -152,7 +152,7 @@ def test_results_do_not_depend_on_the_cut():
         assert np.concatenate(parts).tobytes() == whole.tobytes()
 
 
-def test_nan_blanks_and_recovers():
+def test_detection_stops_at_nan_and_recovers_afterwards():
     acceleration = background(1.0, FAST)
     acceleration[10_000:10_100] = np.nan
     acceleration[20_000] = np.inf
@@ -161,7 +161,7 @@ def test_nan_blanks_and_recovers():
     assert np.allclose(found["scan"] / FAST, [0.3, 0.8], atol=2e-5)
 
 
-def test_restart_gives_later_scans_their_number():
+def test_a_restart_sets_the_number_of_the_next_scan():
     one = detector()
     one.feed(background(0.1, FAST))
     one.restart(1_000_000)
@@ -170,7 +170,7 @@ def test_restart_gives_later_scans_their_number():
     assert one.feed(acceleration)["scan"] == pytest.approx([1_000_000 + 0.1 * FAST], abs=1.0)
 
 
-def test_too_low_a_rate_detects_nothing_rather_than_anything():
+def test_a_rate_that_is_too_low_yields_no_detections():
     assert len(detector(1000).feed(1e3 * np.random.default_rng(6).standard_normal(5000))) == 0
 
 
@@ -185,7 +185,7 @@ def test_impacts_are_counted_in_their_cycles():
     assert filled.strikes.sum(axis=1).tolist() == [1, 2, 1]
 
 
-def test_an_impact_on_the_first_scan_of_a_cycle_is_one_of_that_cycle():
+def test_an_impact_on_the_first_scan_of_a_cycle_belongs_to_that_cycle():
     first = np.array([100, 200, 300])
     empty = np.zeros((3, 4))
     cycles = Cycles(first, np.full(3, 100), np.zeros((3, 4, 1), complex), empty, empty, empty, np.zeros(3, int), empty,

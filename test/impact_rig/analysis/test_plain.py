@@ -37,7 +37,7 @@ np.savez(sys.argv[1], **{name: np.concatenate([table.rows for table in found]) f
 """
 
 
-def test_plain_python_measures_the_same(tmp_path: Path) -> None:
+def test_plain_python_measures_the_same_as_compiled_code(tmp_path: Path) -> None:
     """The results agree to 1e-9, as between machines, because the analysis may use all functions of its libraries."""
     output = tmp_path / "plain.npz"
     environment = measured(

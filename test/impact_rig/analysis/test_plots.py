@@ -50,7 +50,7 @@ def blocks() -> list[Block]:
     return rig.advance(8 * NS_PER_S)
 
 
-def test_every_impact_above_5_n_shows_in_the_envelope_of_pulses_and_nothing_else(blocks: list[Block]) -> None:
+def test_the_envelope_of_pulses_shows_every_impact_above_5_n_and_nothing_else(blocks: list[Block]) -> None:
     high_pass, intervals = HighPass(RATE, "accelerometer"), Intervals(RATE)
     found = [interval for block in blocks for interval in intervals.feed(high_pass.feed(block.scan))]
     heights = np.array([max(abs(value) for value in interval.extremes(PULSES)[:2]) for interval in found])
@@ -68,7 +68,7 @@ def test_every_impact_above_5_n_shows_in_the_envelope_of_pulses_and_nothing_else
 
 
 @pytest.mark.parametrize("channel", ["laser", "accelerometer"])
-def test_a_line_of_the_spectrum_is_as_high_as_the_sine_that_fits(blocks: list[Block], channel: str) -> None:
+def test_a_line_of_the_spectrum_is_as_high_as_the_fitted_sine(blocks: list[Block], channel: str) -> None:
     rows = np.concatenate([block.scan.rows for block in blocks])[-round(WINDOW_S * RATE) :]
     frequencies, amplitudes = amplitude_spectrum(rows[channel], RATE)
     near = np.abs(frequencies - 9.1) < 1.0
@@ -78,7 +78,7 @@ def test_a_line_of_the_spectrum_is_as_high_as_the_sine_that_fits(blocks: list[Bl
 
 
 @pytest.mark.parametrize("frequency", np.linspace(20.0, 20.25, 6))
-def test_a_line_anywhere_between_the_bins_is_as_high(frequency: float) -> None:
+def test_a_line_between_two_bins_is_as_high_as_one_on_a_bin(frequency: float) -> None:
     time = np.arange(8000) / 2000.0
     frequencies, amplitudes = amplitude_spectrum(3.0 + 0.7 * np.sin(2 * np.pi * frequency * time + 1.0), 2000.0)
     assert np.diff(frequencies) == pytest.approx(1.0 / WINDOW_S)
@@ -95,7 +95,7 @@ def fed(intervals: Intervals, rows: np.ndarray, sizes: list[int], start_ns: int 
     return found
 
 
-def test_intervals_do_not_depend_on_the_cut_into_blocks() -> None:
+def test_intervals_do_not_depend_on_the_division_into_blocks() -> None:
     rows = np.zeros(100, dtype=[("laser", "<f8")])
     rows["laser"] = np.arange(100.0)
     cuts = [[100], [10] * 10, [7] * 14, [45, 55]]
@@ -104,7 +104,7 @@ def test_intervals_do_not_depend_on_the_cut_into_blocks() -> None:
     assert all(result == results[0] for result in results)
 
 
-def test_an_interval_that_a_lost_block_has_cut_is_left_out() -> None:
+def test_an_interval_with_a_lost_block_is_left_out() -> None:
     rows = np.zeros(15, dtype=[("laser", "<f8")])
     intervals = Intervals(1000)
     assert not list(intervals.feed(Table(0, rows)))
@@ -112,7 +112,7 @@ def test_an_interval_that_a_lost_block_has_cut_is_left_out() -> None:
     assert only.stamp_ns == 30_000_000
 
 
-def test_recent_scans_are_bounded_and_without_a_gap() -> None:
+def test_recent_scans_are_bounded_and_contain_no_gap() -> None:
     recent = Recent(1000, 25)
     for number in range(10):
         recent.add(Table(number * 10_000_000, np.zeros(10, dtype=[("laser", "<f8")])))

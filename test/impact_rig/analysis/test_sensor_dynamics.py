@@ -61,14 +61,14 @@ def test_the_two_poles_of_a_slow_base_sensor_are_corrected(usual: tuple[float, f
     assert abs(slow - usual[0]) < 2 * u
 
 
-def test_what_a_delay_leaves_out_of_the_amplitude_is_in_the_uncertainty(usual: tuple[float, float, bytes]) -> None:
+def test_the_uncertainty_covers_the_amplitude_error_of_a_pure_delay_model(usual: tuple[float, float, bytes]) -> None:
     """An anti-alias filter behind a sensor is only known as a delay."""
     dt, u, _ = measured(instruments__adc__anti_alias="butterworth", instruments__adc__anti_alias_hz=30.0)
     assert abs(dt - usual[0]) < 3 * u
     assert u >= usual[1]
 
 
-def test_crosstalk_is_not_seen_and_changes_dt_by_what_the_limits_say(usual: tuple[float, float, bytes]) -> None:
+def test_crosstalk_is_undetected_and_changes_dt_by_the_documented_amount(usual: tuple[float, float, bytes]) -> None:
     def cross(rows: NDArray[np.void]) -> None:
         rows["base"] += 1e-5 * rows["current"]
 
@@ -77,7 +77,7 @@ def test_crosstalk_is_not_seen_and_changes_dt_by_what_the_limits_say(usual: tupl
     assert dt / usual[0] - 1.0 == pytest.approx(0.0085, rel=0.2)
 
 
-def test_backlash_is_not_seen_and_changes_dt_by_what_the_limits_say(usual: tuple[float, float, bytes]) -> None:
+def test_backlash_is_undetected_and_changes_dt_by_the_documented_amount(usual: tuple[float, float, bytes]) -> None:
     followed: list[float] = []
 
     def slack(rows: NDArray[np.void]) -> None:

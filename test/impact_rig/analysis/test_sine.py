@@ -47,12 +47,12 @@ def test_both_fits_recover_a_pure_sine(frequency_hz, amplitude, phase, offset):
         assert fit.frequency_hz == pytest.approx(frequency_hz, rel=1e-10)
 
 
-def test_four_parameters_find_the_frequency_from_a_third_of_a_cycle_off():
+def test_four_parameter_fits_converge_from_a_third_of_a_cycle_off():
     y = sine(5000, 1000.0, 9.1, 1.0, 0.4)
     assert fit_sine_frequency(y, 1000.0, 9.1 + 0.3 / 5.0).frequency_hz == pytest.approx(9.1, rel=1e-11)
 
 
-def test_harmonics_are_told_apart():
+def test_harmonics_are_fitted_separately():
     rate, n, wanted = 1000.0, 1234, np.array([2.0, 0.3j, -0.05 + 0.01j])
     t = np.arange(n) / rate
     y = 0.7 + sum(np.real(w * np.exp(2j * np.pi * h * 7.3 * t)) for h, w in enumerate(wanted, start=1))
@@ -60,7 +60,7 @@ def test_harmonics_are_told_apart():
     assert np.allclose(fit_sine_frequency(y, rate, 7.31, 3).phasors, wanted, rtol=0, atol=1e-8)
 
 
-def test_agrees_with_scipys_general_purpose_fit():
+def test_fits_agree_with_the_general_purpose_fit_of_scipy():
     rng = np.random.default_rng(4)
     rate, n = 1000.0, 3000
     y = sine(n, rate, 9.1, 1.0, 0.5, 0.2) + 0.1 * rng.standard_normal(n)
@@ -135,7 +135,7 @@ def test_noise_density_is_the_variance_of_white_noise_and_local_for_coloured():
         (sine(1000, 1000.0, 9.1, 1, 0), 500.0, Status.NO_FREQUENCY),
     ],
 )
-def test_nonsense_gets_a_name_and_no_number(fit, y, frequency_hz, status):
+def test_invalid_records_yield_a_status_and_no_number(fit, y, frequency_hz, status):
     found = fit(y, 1000.0, frequency_hz)
     assert found.status is status
     assert np.isnan(found.amplitude)

@@ -37,7 +37,7 @@ def test_variance_of_the_mean_is_unbiased_for_white_noise():
     assert np.mean(estimates) == pytest.approx(1 / 48, rel=0.03)
 
 
-def test_variance_of_the_mean_sees_correlation():
+def test_variance_of_the_mean_includes_correlation():
     """An AR(1) process of coefficient 0.5 has a long-run variance of 4; Bartlett weights see most of it."""
     rng = np.random.default_rng(2)
     estimates = [variance_of_mean(ar1(rng, 500, 0.5)) for _ in range(300)]
@@ -55,7 +55,7 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
     assert 0.93 < np.mean(np.array(off) < 2.0) < 0.98
 
 
-def test_batches_that_are_too_alike_are_corrected():
+def test_the_variance_of_correlated_batches_is_corrected():
     """The scatter of batches as long as the correlation is too small; 2V_b − V_2b corrects most of the error."""
     rng = np.random.default_rng(5)
     series = [ar1(rng, 192, 0.9) for _ in range(3000)]
@@ -66,7 +66,7 @@ def test_batches_that_are_too_alike_are_corrected():
     assert np.mean(found) == pytest.approx(true, rel=0.1)
 
 
-def test_a_periodic_pattern_is_removed_by_its_classes():
+def test_a_periodic_pattern_does_not_add_to_the_spread():
     values = np.tile([1.0, 2j, -3.0], 16).astype(complex)
     assert np.allclose(by_class_removed(values, 3), 0)
     assert not np.allclose(by_class_removed(values, 2), 0)
@@ -74,7 +74,7 @@ def test_a_periodic_pattern_is_removed_by_its_classes():
 
 @pytest.mark.parametrize("ratio", [0.3, 0.9, 0.8 * np.exp(0.7j), -0.5, 0.97])
 @pytest.mark.parametrize("count", [8, 12, 16, 32])
-def test_bias_of_a_single_dying_transient_is_exact(ratio, count):
+def test_the_bias_of_a_single_exponential_transient_is_exact(ratio, count):
     """D_w = D + c q^w: the bias of the mean of the newest 8 windows is the mean of c q^w over them."""
     w = np.arange(count)
     windows = 40.0 + 3.0 * ratio**w
@@ -84,7 +84,7 @@ def test_bias_of_a_single_dying_transient_is_exact(ratio, count):
     assert transient_bias(windows, 8) == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
-def test_bias_of_noise_is_noise():
+def test_the_bias_estimated_from_noise_is_noise():
     rng = np.random.default_rng(7)
     biases = [abs(transient_bias(rng.standard_normal(8) + 1j * rng.standard_normal(8), 8)) for _ in range(500)]
     assert np.median(biases) < 1.5
@@ -93,7 +93,7 @@ def test_bias_of_noise_is_noise():
         transient_bias(np.ones(7, complex), 8)
 
 
-def test_stationary_fluctuation_is_told_from_a_trend_and_from_a_dying_beat():
+def test_stationary_fluctuation_is_distinguished_from_a_trend_and_a_decaying_beat():
     rng = np.random.default_rng(8)
     w = np.arange(32)
     noise = [rng.standard_normal(32) + 1j * rng.standard_normal(32) for _ in range(200)]
@@ -107,7 +107,7 @@ def cycles_noise(rng, n, rms):
 
 
 @pytest.mark.parametrize("period", [1, 2, 3, 4, 5])
-def test_an_orbit_that_closes_after_p_cycles_is_periodic(period):
+def test_an_orbit_that_closes_after_several_cycles_is_periodic(period):
     rng = np.random.default_rng(9)
     pattern = 0.01 * np.exp(2j * np.pi * rng.random(period)) * (period > 1)
     deviation = np.tile(pattern, 192 // period + 1)[:192] + cycles_noise(rng, 192, 1e-4)
@@ -115,7 +115,7 @@ def test_an_orbit_that_closes_after_p_cycles_is_periodic(period):
     assert (found.regime, found.period) == (Regime.PERIODIC, period)
 
 
-def test_a_slow_modulation_and_a_logistic_map_are_told_apart():
+def test_a_slow_modulation_is_distinguished_from_a_logistic_map():
     k = np.arange(192)
     modulated = classify(0.02 * np.cos(0.3 * k) + 0.01j * np.sin(0.3 * k), 1e-10, 1e-3, QUIET)
     assert modulated.regime is Regime.MODULATED
@@ -136,7 +136,7 @@ def strikes_at(phases):
     return rows
 
 
-def test_impacts_decide_where_the_amplitude_stands_still():
+def test_the_pattern_of_impacts_decides_the_regime_when_the_amplitude_is_steady():
     """For a light sphere, the amplitude of the structure is steady in all four cases."""
     rng = np.random.default_rng(10)
     steady = cycles_noise(rng, 48, 1e-5)
@@ -157,5 +157,5 @@ def test_impacts_decide_where_the_amplitude_stands_still():
 
 
 @pytest.mark.parametrize("deviation", [np.zeros(3, complex), np.full(48, np.nan, complex)])
-def test_too_little_is_unknown(deviation):
+def test_too_few_valid_cycles_yield_an_unknown_regime(deviation):
     assert classify(deviation, 0.0, 1e-3, QUIET[: len(deviation)]).regime is Regime.UNKNOWN

@@ -48,7 +48,7 @@ def test_a_settled_response_is_measured_window_after_window():
         assert row["waited"] == pytest.approx((last + 1) / RATE)
 
 
-def test_streaming_gives_what_the_whole_record_gives():
+def test_streaming_yields_the_same_results_as_the_complete_record():
     rows = record(seconds=48 / 9.1 + 0.2)
     row = feed_all(tracker(), blocks(rows, RATE, 20))[0][0].rows[0]
     whole = measure_record(rows[: int(np.ceil(48 * RATE / 9.1))], info_rows(RATE), 9.1)
@@ -66,7 +66,7 @@ def transient_ratio(frequency_hz, tau_s):
 
 
 @pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.1, 0.34), (9.1, 3.9), (9.0, 3.9), (10.0, 0.34), (8.5, 3.9)])
-def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
+def test_the_wait_for_a_transient_is_no_longer_than_needed(frequency_hz, tau_s):
     """The bias of settled means is below 5e-4. The wait is as long as this requires, not a fixed time."""
     rows = record(frequency_hz, 55.0, transient=transient_ratio(frequency_hz, tau_s))
     measurements, _ = feed_all(tracker(frequency_hz), blocks(rows, RATE, 20))
@@ -83,7 +83,7 @@ def test_a_transient_is_waited_for_no_longer_than_needed(frequency_hz, tau_s):
     [(9.3, 0.34), *(pytest.param(*one, marks=pytest.mark.slow) for one in [(9.1, 0.34), (9.3, 1.0)])],
 )
 @pytest.mark.repeats
-def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_s):
+def test_the_first_row_after_a_change_is_as_accurate_as_later_rows(frequency_hz, tau_s):
     """Over 120 draws of noise its mean error is at most 3.3 standard errors of that mean, 0.3 of a row's u."""
     truth, info = linear_transmissibility(frequency_hz), info_rows(RATE, gain_u=0.0)
     off = []
@@ -98,7 +98,7 @@ def test_the_first_row_after_a_change_is_as_good_as_any_other(frequency_hz, tau_
     assert np.all(np.abs(np.mean(off, axis=0)) < 3.3 / np.sqrt(len(off))), np.mean(off, axis=0)
 
 
-def test_the_bound_of_waiting_is_kept_and_named():
+def test_a_response_that_never_settles_is_reported_at_the_time_limit():
     """A response with a growing drift never settles: at the time limit it is reported with numbers, and settled = 0."""
     truth = linear_transmissibility(9.1)
     rows = record(9.1, 25.0, transient=lambda t: truth * (0.3 + 0.02 * t))
@@ -111,7 +111,7 @@ def test_the_bound_of_waiting_is_kept_and_named():
     assert 10.0 <= first["waited"] < 11.0
 
 
-def test_windows_that_were_thrown_away_are_no_wait():
+def test_discarded_windows_do_not_count_as_waiting_time():
     """If a channel is over range for longer than the limit, the next 8 windows must not be reported as they are."""
     truth = linear_transmissibility(9.1)
     rows = record(seconds=50.0, transient=lambda t: truth * (1 + 0.05 * np.sin(3.3 * t) + 0.03 * np.sin(1.3 * t)))
@@ -130,14 +130,14 @@ def struck_twice_a_cycle(rows, frequency_hz, seconds):
     add_impacts(rows["accelerometer"], RATE, times, np.full(count, 0.3), np.tile([1, -1], count // 2 + 1)[:count])
 
 
-def test_what_fluctuates_without_any_impact_is_no_modulation():
+def test_fluctuation_without_impacts_is_not_called_modulation():
     """A linear rig is neither modulated nor chaotic, although its first rows fluctuate if the base moves little."""
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
     assert not feed_all(tracker(9.2), blocks(rows, RATE, 20))[0]
 
 
-def test_a_modulated_response_is_labelled_and_measured_long():
+def test_a_modulated_response_is_labelled_and_averaged_for_longer():
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
     struck_twice_a_cycle(rows, 9.2, 30.0)
@@ -163,7 +163,7 @@ def test_impacts_per_cycle_come_from_the_accelerometer():
 
 
 @pytest.mark.repeats
-def test_memory_does_not_grow_with_the_stream():
+def test_memory_does_not_grow_with_the_length_of_the_stream():
     made = tracker(tracker_settings=TrackerSettings())
     rows = record(seconds=30.0)
     tables = list(blocks(rows, RATE, 20))
@@ -188,7 +188,7 @@ def test_memory_does_not_grow_with_the_stream():
     assert grown < 300_000, f"{grown} bytes in 4 minutes"
 
 
-def test_settings_refuse_nonsense_by_name():
+def test_invalid_settings_are_rejected_by_name():
     with pytest.raises(ConfigError, match="windows must be >= 8"):
         TrackerSettings(windows=3)
     with pytest.raises(ConfigError, match="hold_s"):
@@ -196,12 +196,12 @@ def test_settings_refuse_nonsense_by_name():
     assert all(field.default is not attrs.NOTHING for field in attrs.fields(TrackerSettings))
 
 
-def test_windows_that_never_fill_are_refused():
+def test_settings_whose_windows_never_fill_are_rejected():
     with pytest.raises(ConfigError, match="windows must be <= long_windows = 32, got 40"):
         TrackerSettings(windows=40)
 
 
-def test_the_state_says_what_the_measurement_does_and_since_when():
+def test_the_state_reports_the_activity_of_the_measurement_and_its_start():
     """States: no scans, settling from the command on, measuring from the first row on, unable with a stuck laser."""
     made, rows = tracker(), record(seconds=30.0)
     assert (made.state.word, made.state.since_ns) == (AnalysisWord.NO_SCANS, None)
@@ -223,7 +223,7 @@ def test_the_state_says_what_the_measurement_does_and_since_when():
     assert seen[-1].since_ns == 28 * NS_PER_S
 
 
-def test_at_rest_is_a_state_and_no_trouble():
+def test_rest_is_a_state_and_not_a_problem():
     """At rest, the rows say `silence`, and after a pluck something worse. This is expected: there is no problem."""
     rng, made = np.random.default_rng(6), tracker()
     rows = record(seconds=20.0)
@@ -242,7 +242,7 @@ def test_at_rest_is_a_state_and_no_trouble():
     }
 
 
-def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
+def test_the_state_is_no_longer_measured_when_the_next_row_is_overdue():
     """The wall becomes softer, for example: no message reports this, but the response disagrees with its last row."""
     made, rows = tracker(), record(seconds=20.0)
     growth = 1.0 + 0.1 * np.maximum(np.arange(len(rows)) / RATE - 12.0, 0.0)
@@ -263,7 +263,7 @@ def test_a_value_is_called_measured_no_longer_when_the_next_row_is_overdue():
     assert made.progress.windows < made.progress.needed
 
 
-def test_a_window_more_is_promised_as_long_as_the_transient_lasts():
+def test_progress_expects_a_further_window_while_the_transient_lasts():
     made, rows = tracker(), record(seconds=12.0)
     for channel in ("laser", "accelerometer"):
         rows[channel] *= 1.0 + 0.1 * np.arange(len(rows)) / RATE
@@ -292,7 +292,7 @@ def struck(rows, times_s, rate_hz=RATE):
         pytest.param(np.nan, True, 28.4, 22.4, id="unknown, but there were impacts"),
     ],
 )
-def test_without_impacts_a_row_is_given_when_a_drifting_sphere_would_have_struck(gap_m, strikes, first_s, age_s):
+def test_a_row_without_impacts_waits_until_a_drifting_sphere_would_have_struck(gap_m, strikes, first_s, age_s):
     """The amplitude of the structure is steady all the time; the status states what the silence does not exclude."""
     rows = record(seconds=max(25.0, first_s + 3.0))
     if strikes:
@@ -307,7 +307,7 @@ def test_without_impacts_a_row_is_given_when_a_drifting_sphere_would_have_struck
     assert quiet[0]["impact_age"] == pytest.approx(age_s, abs=0.7, nan_ok=True)
 
 
-def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
+def test_the_wait_for_a_drifting_sphere_counts_from_the_setting_of_the_gap():
     """The wait counts from the label, not from an impact in the window that the label interrupted a second before."""
     rows = struck(record(seconds=22.0), np.arange(0.2, 6.7, 0.0549))
     made = tracker(gap_m=0.010, tracker_settings=TrackerSettings(window_s=1.3, wait_limit_s=40.0, slowest_speed=1e-3))
@@ -320,7 +320,7 @@ def test_a_drifting_sphere_is_waited_for_from_when_the_gap_was_set():
     assert np.isnan(row["impact_age"])
 
 
-def test_no_wide_gap_is_waited_for_longer_than_the_limit():
+def test_the_wait_at_a_wide_gap_does_not_exceed_the_time_limit():
     """At 12 mm and 0.1 mm/s, the sphere needs two minutes; a wait beyond the time limit would count as a failure."""
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=12.0))
     measurements, _ = feed_all(made, blocks(record(seconds=19.0), RATE, 20))
@@ -330,7 +330,7 @@ def test_no_wide_gap_is_waited_for_longer_than_the_limit():
     assert note_on(first) == "no impacts for 13 s; a sphere slower than 0.96 mm/s could still strike"
 
 
-def test_silence_after_impacts_is_waited_for_beyond_the_bound_of_a_response_that_does_not_settle():
+def test_silence_after_impacts_extends_the_wait_beyond_the_time_limit():
     """The sphere struck for 6 s: if the time limit of 10 s ends before the silence is long enough, nothing failed."""
     rows = struck(record(seconds=18.0), np.arange(0.2, 6.0, 0.0549))
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=10.0))
@@ -339,7 +339,7 @@ def test_silence_after_impacts_is_waited_for_beyond_the_bound_of_a_response_that
     assert measurements[1].rows[0]["impact_age"] == pytest.approx(10.7, abs=0.7)
 
 
-def test_impacts_that_come_again_after_the_bound_end_the_wait_as_intermittent():
+def test_impacts_that_resume_after_the_time_limit_end_the_wait_as_intermittent():
     rows = struck(record(seconds=12.0), np.r_[np.arange(0.2, 3.0, 0.31), 9.5])
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=10.0))
     measurements, _ = feed_all(made, blocks(rows, RATE, 20))
@@ -348,7 +348,7 @@ def test_impacts_that_come_again_after_the_bound_end_the_wait_as_intermittent():
     assert 10.0 < first["waited"] < 11.0
 
 
-def test_the_end_of_a_record_gives_what_was_held_back_for_a_sphere():
+def test_the_end_of_a_record_releases_a_row_that_waits_for_the_sphere():
     """A record of 15 s at 12 mm gives a row, or the reason why there is none."""
     made = tracker(gap_m=0.012)
     measurements, _ = feed_all(made, blocks(record(seconds=15.0), RATE, 20))
@@ -358,7 +358,7 @@ def test_the_end_of_a_record_gives_what_was_held_back_for_a_sphere():
     assert note_on(measurements[0].rows[0]).startswith("no impacts for 15 s; a sphere slower than 0.8")
 
 
-def test_silence_at_rest_tells_nothing_of_the_sphere():
+def test_silence_at_rest_does_not_count_as_silence_of_the_sphere():
     """The label is set long before the drive; slow impacts of a rig at rest are not detected."""
     made = tracker(None, gap_m=0.010, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=12.0))
     made.on_applied(applied(9.1, 0.0))
@@ -368,7 +368,7 @@ def test_silence_at_rest_tells_nothing_of_the_sphere():
     assert (last["status"], last["waited"]) == (b"no_impacts", pytest.approx(12.2, abs=0.7))
 
 
-def test_progress_never_exceeds_its_total_and_names_a_sphere_that_is_waited_for():
+def test_progress_never_exceeds_its_total_and_mentions_a_wait_for_the_sphere():
     """Progress must not read "window 83 of 16, transient 0.0 %" while the analysis waits for the sphere."""
     made, seen = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=14.0)), []
     for block in blocks(record(seconds=16.0), RATE, 20):
@@ -384,7 +384,7 @@ def test_progress_never_exceeds_its_total_and_names_a_sphere_that_is_waited_for(
     assert {progress.reason for _, progress, word in seen if word != "settling"} == {""}
 
 
-def test_regular_impacts_are_waited_for_no_longer():
+def test_regular_impacts_do_not_extend_the_wait():
     rows = struck(record(seconds=7.0), (np.arange(126) + 0.3) / 18.2)
     row = feed_all(tracker(gap_m=0.006), blocks(rows, RATE, 20))[0][0].rows[0]
     assert row["waited"] == pytest.approx(48 / 9.1, abs=1 / RATE)

@@ -38,14 +38,14 @@ def usual():
 
 @pytest.mark.parametrize("size", [1, 7, 100, 1999, 40_000])
 @pytest.mark.repeats
-def test_no_bit_depends_on_the_block_length(size):
+def test_results_do_not_depend_on_the_block_length(size):
     assert fingerprint(*run_scenario(size)[:2]) == usual()
 
 
 @settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
 @pytest.mark.repeats
-def test_no_bit_depends_on_any_cut(seed):
+def test_results_do_not_depend_on_any_division_into_blocks(seed):
     def sizes():
         rng = np.random.default_rng(seed)
         while True:
@@ -55,14 +55,14 @@ def test_no_bit_depends_on_any_cut(seed):
 
 
 @pytest.mark.parametrize("late_ns", [10_000_000, 40_000_000])
-def test_a_command_delivered_late_changes_nothing(late_ns):
+def test_a_command_that_arrives_late_changes_no_result(late_ns):
     """Topics overtake each other; scans wait for 50 ms of rig time before they are used."""
     measurements, impacts, made = run_scenario(20, late_ns=late_ns)
     assert fingerprint(measurements, impacts) == usual()
     assert made.counters.late_events == 0
 
 
-def test_a_label_and_a_command_of_one_instant_may_come_in_either_order():
+def test_a_label_and_a_command_of_one_instant_may_arrive_in_either_order():
     """Live, the command arrives first; in a recorded run, the label is known first. The row is the same."""
     reasons = set()
     for label_first in (True, False):
@@ -104,13 +104,13 @@ def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
     assert "ok" in words(changed[0])
 
 
-def test_a_command_later_than_that_is_counted():
+def test_a_command_that_arrives_too_late_is_counted():
     made = run_scenario(20, late_ns=200_000_000)[2]
     assert made.counters.late_events == 1
 
 
 @pytest.mark.parametrize("size", [1000, 5000])
-def test_no_impact_is_lost_where_the_first_command_comes(size):
+def test_the_first_command_discards_no_impact(size):
     """Scans wait, but their impacts are known at once: the first command must not discard these."""
     rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
     add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
@@ -124,7 +124,7 @@ def test_no_impact_is_lost_where_the_first_command_comes(size):
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
-def test_an_impact_just_before_the_end_of_a_window_is_known_when_the_window_is_closed():
+def test_a_window_contains_the_impacts_just_before_its_end():
     """At 200 kS/s, an impact is known 30 scans later, so the window must stay open for longer than 16 scans."""
     rate_hz, frequency_hz = 200_000, 97.0
     rows = record(frequency_hz, 1.05, rate_hz=rate_hz)
@@ -145,7 +145,7 @@ def test_the_time_base_only_shifts_the_stamps(start_ns):
     assert [table.rows.tobytes() for table in here] == [table.rows.tobytes() for table in there]
 
 
-def test_stamps_of_a_period_that_is_no_whole_nanosecond_are_followed():
+def test_stamps_with_a_period_of_fractional_nanoseconds_are_contiguous():
     """At 25,600 S/s, stamps are rounded down; over a minute, this must never look like a lost block."""
     made = tracker(73.0, rate_hz=25_600)
     rows = record(73.0, 6.0, rate_hz=25_600)
@@ -154,7 +154,7 @@ def test_stamps_of_a_period_that_is_no_whole_nanosecond_are_followed():
     assert set(words(measurements)) == {"ok"}
 
 
-def test_repeating_a_command_or_label_disturbs_nothing():
+def test_a_repeated_command_or_label_changes_no_result():
     rows = record(seconds=13.0)
     made = tracker()
     found = []
@@ -167,7 +167,7 @@ def test_repeating_a_command_or_label_disturbs_nothing():
     assert words(found) == ["ok", "ok"]
 
 
-def test_who_joins_late_takes_scan_0_from_the_calibration():
+def test_a_late_subscriber_gets_scan_0_from_the_calibration():
     """If the rig was recalibrated long after its start, windows are still counted from its scan 0."""
     rows = record(seconds=9.0)
     since_s = 3.0

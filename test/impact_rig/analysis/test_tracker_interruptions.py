@@ -27,7 +27,7 @@ from impact_rig.blocks import Table
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 
-def test_every_interruption_is_named_and_none_is_averaged_in():
+def test_every_interruption_is_named_and_excluded_from_the_mean():
     measurements, impacts, made = run_scenario(20)
     assert words(measurements) == [
         "ok",
@@ -54,7 +54,7 @@ def test_every_interruption_is_named_and_none_is_averaged_in():
     assert made.counters.refusals == 4
 
 
-def test_scans_are_added_in_few_steps_and_an_interruption_finds_every_cycle(monkeypatch):
+def test_an_interruption_finds_every_cycle_although_scans_are_added_in_few_steps(monkeypatch):
     begins = []
     really = Accumulator.add
     monkeypatch.setattr(Accumulator, "add", lambda self, *of: (begins.append(of[2]), really(self, *of)))
@@ -78,7 +78,7 @@ def test_a_window_is_reported_with_the_block_that_completes_it(monkeypatch):
     assert [word for _, word in found[0]] == ["ok"]
 
 
-def test_a_hole_inside_a_block_is_found():
+def test_a_gap_inside_a_block_is_found():
     rows = record(seconds=6.5)
     table = next(blocks(rows, RATE, len(rows)))
     holed = Table(0, np.delete(table.rows, slice(12_000, 12_010)))
@@ -88,7 +88,7 @@ def test_a_hole_inside_a_block_is_found():
     assert made.counters.lost_scans == 10
 
 
-def test_a_hole_at_the_beginning_of_a_block_is_found():
+def test_a_gap_at_the_beginning_of_a_block_is_found():
     """The scans of the block must not be taken for the missing ones: then the gap would be part of the mean."""
     first, second = blocks(record(seconds=13.0), RATE, [12_000, 14_000])
     made = tracker()
@@ -102,7 +102,7 @@ def test_a_hole_at_the_beginning_of_a_block_is_found():
 
 
 @pytest.mark.parametrize("times", ["another_rate", "nan", "backwards", "jitter"])
-def test_scans_that_are_no_runs_are_lost_not_measured(times):
+def test_invalid_scans_are_counted_as_lost_and_not_measured(times):
     """If the rate differs from daq/info, or times are invalid, scans are counted as lost and not measured."""
     made = tracker()
     rows = record(seconds=1.0)[:200].copy()
@@ -120,7 +120,7 @@ def test_scans_that_are_no_runs_are_lost_not_measured(times):
     assert made.counters.lost_scans > 0
 
 
-def test_a_repeated_block_is_dropped_and_a_jump_back_starts_anew():
+def test_a_repeated_block_is_dropped_and_a_jump_back_restarts_the_measurement():
     made = tracker()
     rows = record(seconds=7.0)
     tables = list(blocks(rows, RATE, 100))
@@ -136,7 +136,7 @@ def test_a_repeated_block_is_dropped_and_a_jump_back_starts_anew():
 
 @pytest.mark.parametrize("late", [0, 1, 2])
 @pytest.mark.parametrize("silence_ns", [0, 3_700_000], ids=["seamless", "a_part_of_a_block_dropped"])
-def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
+def test_results_after_a_reset_equal_those_of_a_new_record(late, silence_ns):
     """The announcement of the reset may arrive at any time within the waiting time of scans."""
     reset_ns = 8 * NS_PER_S + silence_ns
     fresh = record(seconds=6.0, seed=2)
@@ -160,7 +160,7 @@ def test_after_a_reset_everything_is_as_in_a_new_record(late, silence_ns):
 
 
 @pytest.mark.parametrize("late", [5, 6, 50])
-def test_a_reset_that_is_announced_late_loses_no_scan(late):
+def test_a_late_announcement_of_a_reset_loses_no_scan(late):
     """If the announcement arrives after the waiting time, scans that are already measured must not count as lost."""
     reset_ns, made, found = 8 * NS_PER_S, tracker(), []
     for table in blocks(record(seconds=8.0), RATE, 20):
@@ -179,7 +179,7 @@ def test_a_reset_that_is_announced_late_loses_no_scan(late):
 
 
 @pytest.mark.parametrize("rate_hz", [RATE, 2 * RATE])
-def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stamp(rate_hz):
+def test_a_calibration_that_overtakes_the_scans_of_a_reset_acts_from_its_stamp(rate_hz):
     """A reset that changes the rate is one reset, not two."""
     reset_ns, changed_s = 2 * NS_PER_S, 6.0
     changed = info_rows(rate_hz, since_start=changed_s)
@@ -199,7 +199,7 @@ def test_a_calibration_that_overtakes_the_scans_after_a_reset_acts_from_its_stam
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
-def test_a_calibration_of_a_rig_that_has_run_for_months_is_no_reset():
+def test_a_new_calibration_after_months_is_not_taken_for_a_reset():
     """After months, the seconds since scan 0 are rounded by more than a nanosecond; scan 0 is still the same."""
     first = 200 * 86_400 * RATE
     instants = (stamp_ns(first + 16_000 + 20 * k, RATE) for k in range(100))

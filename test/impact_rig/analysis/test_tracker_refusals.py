@@ -47,7 +47,7 @@ def _swap(rows, _):
     ],
     ids=["silence", "constant", "nan", "clipped", "swapped"],
 )
-def test_a_spoiled_stream_gets_a_name_and_no_number(spoil, status):
+def test_a_corrupted_stream_yields_a_status_and_no_number(spoil, status):
     rows = record(seconds=20.0)
     spoil(rows, np.random.default_rng(7))
     measurements, _ = feed_all(tracker(), blocks(rows, RATE, 20))
@@ -58,12 +58,12 @@ def test_a_spoiled_stream_gets_a_name_and_no_number(spoil, status):
 
 
 @pytest.mark.parametrize("frequency_hz", [0.0, -1.0, np.nan, 900.0])
-def test_an_unusable_frequency_is_named(frequency_hz):
+def test_an_unusable_frequency_has_a_status(frequency_hz):
     measurements, _ = feed_all(tracker(frequency_hz), blocks(record(seconds=2.5), RATE, 20))
     assert set(words(measurements)) == {"no_frequency"}
 
 
-def test_without_a_command_it_says_so_once_a_second():
+def test_a_missing_command_is_reported_once_a_second():
     measurements, _ = feed_all(tracker(None), blocks(record(seconds=3.6), RATE, 20))
     assert words(measurements) == ["no_frequency"] * 3
     assert [table.stamp_ns for table in measurements] == [k * NS_PER_S - NS_PER_S // RATE for k in (1, 2, 3)]
@@ -76,7 +76,7 @@ def test_scans_before_the_calibration_are_counted_not_measured():
     assert made.flush().measurements == ()
 
 
-def test_a_bad_calibration_is_refused_and_the_old_one_kept():
+def test_an_invalid_calibration_is_rejected_and_the_previous_one_kept():
     made = tracker()
     with pytest.raises(ConfigError):
         made.configure(Table(0, info_rows(RATE)[:0]))
@@ -84,7 +84,7 @@ def test_a_bad_calibration_is_refused_and_the_old_one_kept():
     assert words(measurements) == ["ok"]
 
 
-def test_words_that_carry_numbers_are_the_documented_ones():
+def test_the_statuses_with_numbers_are_the_documented_ones():
     unsound = {Status.ACCELEROMETER_OVER_RANGE, Status.ACCELEROMETER_UNSOUND, Status.CURRENT_UNSOUND}
     sound = {Status.OK, Status.NO_IMPACTS} | unsound
     assert sound | {Status.NOT_SETTLED} == MEASURED

@@ -46,7 +46,7 @@ EXACT_RTOL = 1e-8
 
 @pytest.mark.parametrize("frequency_hz", PAPER_FREQUENCIES_HZ)
 @pytest.mark.parametrize("rate_hz", [10_000, 25_600])
-def test_noiseless_record_gives_the_closed_form(frequency_hz, rate_hz):
+def test_a_noiseless_record_yields_the_closed_form(frequency_hz, rate_hz):
     """Lag and skew of the channels are corrected exactly."""
     info = info_rows(rate_hz)
     found = measure_record(steady_record(frequency_hz, 1.5, rate_hz=rate_hz, noise=0), info, frequency_hz)
@@ -59,7 +59,7 @@ def test_noiseless_record_gives_the_closed_form(frequency_hz, rate_hz):
     assert (found.regime, found.period, found.method) == (Regime.PERIODIC, 1, Method.GUM)
 
 
-def test_negative_phase_means_the_structure_lags():
+def test_a_negative_phase_means_that_the_structure_lags():
     """At resonance, x_1 lags x_b by slightly less than 90°; a record delayed by a quarter of a cycle must give −90°."""
     info = info_rows(ideal=True)
     rows = steady_record(9.1, 2.0, info=info, noise=0, ratio=np.exp(-0.5j * np.pi))
@@ -75,7 +75,7 @@ def test_thd_is_the_overtones_of_x_1_before_the_lag():
     assert measure_record(rows, info_rows(), 9.1).thd == pytest.approx(0.05, rel=1e-6)
 
 
-def test_noise_that_does_not_scatter_the_cycles_counts_as_white():
+def test_noise_that_repeats_in_every_cycle_counts_as_white():
     """At a hundred times the drive frequency, noise is the same in each cycle: σ √(2 / N) of each amplitude remains."""
     info = info_rows(ideal=True)
     rows = steady_record(10.0, 3.0, info=info, noise=0)
@@ -106,7 +106,7 @@ def test_clock_error_does_not_smear_the_ratio():
     base_um=st.floats(30.0, 60.0),
     frequency_hz=st.floats(5.0, 100.0),
 )
-def test_any_ratio_comes_back(ratio, phase, base_um, frequency_hz):
+def test_any_ratio_is_measured_correctly(ratio, phase, base_um, frequency_hz):
     truth = ratio * np.exp(1j * phase)
     rows = steady_record(frequency_hz, 1.2, noise=0, ratio=truth, base_m=base_um * 1e-6)
     found = measure_record(rows, info_rows(), frequency_hz)
@@ -158,12 +158,12 @@ def _deviations(gain_u, noise, colour, count, seed=2, lag_u=0.02):
     ],
 )
 @pytest.mark.repeats
-def test_reported_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
+def test_the_stated_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
     """Noise and calibration are drawn 300 times: the errors agree with the stated uncertainty."""
     assert_covers(_deviations(gain_u, noise, colour, 300, lag_u=lag_u))
 
 
-def test_a_modulated_response_is_measured_from_batches_and_says_so():
+def test_a_modulated_response_is_measured_from_batches_and_labelled():
     """A slow modulation of 5 % is labelled with its spread; the uncertainty is far above that of the noise."""
     rng = np.random.default_rng(3)
     k = 2 * np.pi * 0.437
@@ -254,7 +254,7 @@ def _without_accelerometer(rows, rng):
 @pytest.mark.parametrize(
     ("rows", "frequency_hz", "status"), [n[1:] for n in nonsense()], ids=[n[0] for n in nonsense()]
 )
-def test_nonsense_gets_a_name_and_no_number(rows, frequency_hz, status):
+def test_invalid_records_yield_a_status_and_no_number(rows, frequency_hz, status):
     found = measure_record(rows, info_rows(), frequency_hz)
     assert found.status is status
     for value in (found.transmissibility, found.phase_rad, found.u_transmissibility, found.laser_m, found.thd):
@@ -313,7 +313,7 @@ def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
         ({"name": b"laser"}, "no two of the same channel, of accelerometer, laser, base, current"),
     ],
 )
-def test_a_calibration_that_cannot_be_is_refused_by_name(change, message):
+def test_an_impossible_calibration_is_rejected_by_name(change, message):
     info = info_rows()
     for column, value in change.items():
         info[column] = value
@@ -338,7 +338,7 @@ def rounded(values, rng, step, noise):
     ids=["no noise", "some noise", "converter", "two steps that beat"],
 )
 @pytest.mark.parametrize("amplitude", [6e-6, 50e-6, 1e-3, 5.8e-3])
-def test_what_steps_do_to_a_sine_is_within_two_uncertainties(r, q, noise_r, noise_q, amplitude):
+def test_the_error_of_converter_steps_is_within_two_uncertainties(r, q, noise_r, noise_q, amplitude):
     """Amplitudes and positions between the steps are random: hardly any error exceeds 2u, and some are close to it."""
     info = info_rows()
     names = ("output_step", "output_noise", "converter_step", "converter_noise")
@@ -362,14 +362,14 @@ def test_what_steps_do_to_a_sine_is_within_two_uncertainties(r, q, noise_r, nois
     assert len(off) < 30 or np.max(np.abs(off)) > 0.3, off
 
 
-def test_phases_that_recur_count_once():
+def test_samples_at_recurring_phases_count_once():
     assert distinct_phases(10_000, 100.0) == 100
     assert distinct_phases(10_000, 100.0 / 3.0) == 100
     assert distinct_phases(52_747, 10_000 / 9.1) == 10_989  # in ten cycles, to 0.01 of a scan
     assert distinct_phases(5_000, 1000.37) == 5_000
 
 
-def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
+def test_a_certificate_that_omits_steps_uses_its_resolution_as_the_step():
     """A recording of an earlier version has only `resolution`, which is the step, blurred by `noise`."""
     info = info_rows()
     info["resolution"][LASER] = 8e-6
@@ -380,7 +380,7 @@ def test_a_certificate_without_steps_has_one_ahead_of_which_all_noise_is():
     assert 0.0 < calibration.steps_uncertainty(LASER, 20e-6) < 1e-6
 
 
-def test_steps_of_another_rig_may_truncate():
+def test_the_uncertainty_covers_steps_that_truncate():
     """Nothing states how the steps are made: if they are rounded towards zero, an amplitude loses 2/π of a step."""
     info = info_rows()
     for name in ("output_step", "output_noise", "converter_step", "converter_noise", "noise"):

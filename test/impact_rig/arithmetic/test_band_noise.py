@@ -40,7 +40,7 @@ def test_the_filter_is_the_butterworth_of_scipy(low, high):
 
 
 @pytest.mark.parametrize(("low", "high"), BANDS)
-def test_white_noise_of_unit_rms_keeps_its_rms(low, high):
+def test_filtered_white_noise_of_unit_rms_has_unit_rms(low, high):
     impulse = np.zeros(400_000)
     impulse[0] = band_pass(low, high, 1.0 / RATE_HZ).gain
     np.testing.assert_allclose(np.sum(signal.sosfilt(sos(low, high), impulse) ** 2), 1.0, rtol=1e-9)
@@ -55,13 +55,13 @@ def test_the_kernel_filters_like_scipy():
     np.testing.assert_allclose(white, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_a_copy_of_the_noise_goes_on_alone():
+def test_a_copy_of_the_noise_is_independent_of_the_original():
     one = BandNoise(band_pass(5.0, 20.0, 1.0 / RATE_HZ), Random(1))
     one.numbers(0, 100)
     two = one.copy()
     np.testing.assert_array_equal(two.numbers(50, 1000), one.numbers(50, 1000))
 
 
-def test_an_impossible_band_is_refused():
+def test_an_impossible_band_is_rejected():
     with pytest.raises(ValueError, match="the band must lie within 0 to 50 Hz"):
         band_pass(5.0, 60.0, 1.0 / RATE_HZ)

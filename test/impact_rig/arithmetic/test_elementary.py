@@ -54,34 +54,34 @@ def angles():
     return np.concatenate([spread(-1.0, 1.0), spread(-100.0, 100.0), spread(-BIG, BIG), near])
 
 
-def test_sine_and_cosine():
+def test_sine_and_cosine_are_accurate():
     assert worst(lambda x: elementary.sincos(x)[0], mpmath.sin, angles()) < ULP
     assert worst(lambda x: elementary.sincos(x)[1], mpmath.cos, angles()) < ULP
 
 
-def test_sine_and_cosine_of_nothing():
+def test_sine_and_cosine_of_zero_are_exact():
     assert elementary.sincos(0.0) == (0.0, 1.0)
 
 
-def test_exponential():
+def test_the_exponential_is_accurate():
     assert worst(elementary.exp, mpmath.exp, np.concatenate([spread(-1.0, 1.0), spread(-700.0, 700.0)])) < ULP
 
 
-def test_exponential_at_its_ends():
+def test_the_exponential_is_correct_at_the_ends_of_its_range():
     assert elementary.exp(-709.0) == 0.0
     assert elementary.exp(710.0) == math.inf
     assert elementary.exp(0.0) == 1.0
     assert math.isnan(elementary.exp(math.nan))
 
 
-def test_logarithm():
+def test_the_logarithm_is_accurate():
     decades = 10.0 ** spread(-300.0, 300.0)
     assert worst(elementary.log, mpmath.log, np.concatenate([decades, spread(0.5, 2.0), [5e-324]])) < ULP
     assert elementary.log(1.0) == 0.0
 
 
 @pytest.mark.parametrize("y", [0.4, 1.5, -0.125, 2.5, 7.0])
-def test_power(y):
+def test_powers_are_accurate(y):
     for x in 10.0 ** spread(-12.0, 12.0)[:1000]:
         true = mpmath.power(mpmath.mpf(float(x)), mpmath.mpf(y))
         error = float(abs(mpmath.mpf(float(elementary.power(float(x), y))) - true)) / math.ulp(float(true))
@@ -89,7 +89,7 @@ def test_power(y):
     assert elementary.power(0.0, y) == 0.0
 
 
-def test_modulus():
+def test_the_modulus_is_exact():
     assert elementary.modulus(3.0 - 4.0j) == 5.0
     for a, b in zip(spread(-1e3, 1e3), spread(-1.0, 1.0), strict=True):
         true = mpmath.hypot(float(a), float(b))

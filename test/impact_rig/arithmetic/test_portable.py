@@ -138,7 +138,7 @@ def sources() -> Iterator[tuple[str, ast.AST]]:
             yield from ((name, node) for node in ast.walk(tree) if is_kernel(node))
 
 
-def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
+def test_no_computation_of_a_sample_depends_on_the_machine() -> None:
     found, used = [], set()
     for name, tree in sources():
         for line, what in offences(tree):
@@ -151,7 +151,7 @@ def test_nothing_on_the_way_to_a_sample_is_left_to_the_machine() -> None:
 
 
 @pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
-def test_the_library_calls_nothing_inexact() -> None:
+def test_the_library_calls_no_inexact_function() -> None:
     """The compiler also turns operators into calls of libm, such as `x ** n` into pow."""
     command = ["nm", "--dynamic", "--undefined-only", "--format=just-symbols", str(build.FOLDER / build.OUTPUT)]
     listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -178,10 +178,10 @@ def test_the_library_calls_nothing_inexact() -> None:
         "njit(fastmath=True)",
     ],
 )
-def test_the_search_finds_it(source: str) -> None:
+def test_the_search_finds_expressions_that_depend_on_the_machine(source: str) -> None:
     assert list(offences(ast.parse(source)))
 
 
 @pytest.mark.parametrize("source", ["math.sqrt(x)", "np.rint(x) * y", "2.0**-52", "math.fsum(x)", "x.max()", "exp(x)"])
-def test_the_search_leaves_alone_what_is_fixed(source: str) -> None:
+def test_the_search_accepts_expressions_that_are_exact_everywhere(source: str) -> None:
     assert not list(offences(ast.parse(source)))

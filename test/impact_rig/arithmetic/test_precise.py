@@ -39,23 +39,23 @@ def exact(z: Complex):
 
 
 @pytest.mark.parametrize("angle", ["0", "0.1", "-2.5", "6.28", "1e-20"])
-def test_points_of_the_unit_circle(angle):
+def test_points_of_the_unit_circle_have_all_requested_digits(angle):
     assert abs(exact(precise.unit(Decimal(angle))) - mpmath.expj(mpmath.mpf(angle))) < LAST
 
 
-def test_pi():
+def test_pi_has_all_requested_digits():
     assert abs(mpmath.mpf(str(precise.pi())) - mpmath.pi) < 10 * LAST
 
 
 @pytest.mark.parametrize("z", [(3, -2), (-3, -2), (-3, 2), (-4, 0), (0, 0), (0, 2)])
-def test_square_root(z):
+def test_square_roots_have_all_requested_digits(z):
     with decimal.localcontext(CONTEXT):
         root = precise.square_root(Complex(Decimal(z[0]), Decimal(z[1])))
     assert root.real >= 0
     assert abs(exact(root) ** 2 - mpmath.mpc(*z)) < 10 * LAST
 
 
-def test_roots_far_apart_are_found_from_rough_values():
+def test_distinct_roots_are_found_from_rough_values():
     wanted = [-(mpmath.mpf(2) ** 40), mpmath.mpc(-3, 1000), mpmath.mpc(-3, -1000), mpmath.mpf("-1e-9")]
     polynomial = [mpmath.mpf(1)]
     for root in wanted:
@@ -66,7 +66,7 @@ def test_roots_far_apart_are_found_from_rough_values():
         assert [complex(z) for z in found] == [-1e-9, -(2.0**40), complex(-3, 1000)]
 
 
-def test_roots_that_coincide_are_refused():
+def test_coinciding_roots_are_rejected():
     assert precise.roots([Decimal(4), Decimal(4), Decimal(1)], [-2.0, -2.0]) in (None, [Complex(Decimal(-2))] * 2)
 
 
@@ -81,7 +81,7 @@ def test_the_resolvent_is_exact_for_whole_numbers():
     assert product == [[p * (i == j) for j in range(3)] for i in range(3)]
 
 
-def test_the_context_of_the_thread_plays_no_part():
+def test_results_do_not_depend_on_the_decimal_context_of_the_thread():
     before = precise.unit(Decimal(1))
     with decimal.localcontext(decimal.Context(prec=5, rounding=decimal.ROUND_UP)):
         assert precise.unit(Decimal(1)) == before

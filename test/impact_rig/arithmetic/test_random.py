@@ -39,14 +39,14 @@ def test_normal_numbers_are_standard_normal():
         assert abs(np.mean(numbers[lag:] * numbers[:-lag])) < SIGMAS / 1e3
 
 
-def test_the_tail_is_as_heavy_as_it_should_be():
+def test_the_tail_of_normal_numbers_has_the_right_weight():
     numbers = Random(1).normal(2_000_000)
     beyond = np.sum(np.abs(numbers) > 3.7)  # the ziggurat's tail is code of its own
     expected = 4e6 * stats.norm.sf(3.7)
     assert abs(beyond - expected) < SIGMAS * math.sqrt(expected)
 
 
-def test_uniform_numbers_are_even():
+def test_uniform_numbers_are_evenly_distributed():
     numbers = Random(1).uniform(1_000_000)
     assert 0.0 <= numbers.min() < numbers.max() < 1.0
     assert abs(np.mean(numbers) - 0.5) < SIGMAS / math.sqrt(12e6)
@@ -55,26 +55,26 @@ def test_uniform_numbers_are_even():
 
 
 @pytest.mark.parametrize("kind", ["normal", "uniform"])
-def test_a_stream_is_the_same_however_it_is_taken(kind):
+def test_a_stream_does_not_depend_on_how_it_is_divided_into_calls(kind):
     whole = getattr(Random(1), kind)(1000)
     parts = Random(1)
     np.testing.assert_array_equal(np.concatenate([getattr(parts, kind)(n) for n in (1, 0, 7, 500, 492)]), whole)
     assert not np.array_equal(getattr(Random(2), kind)(1000), whole)
 
 
-def test_a_copy_goes_on_alone():
+def test_a_copy_is_independent_of_the_original():
     one = Random(1)
     one.normal(10)
     two = one.copy()
     np.testing.assert_array_equal(one.normal(10), two.normal(10))
 
 
-def test_the_first_numbers_are_what_they_were():
+def test_the_first_numbers_are_the_stored_ones():
     assert tuple(float(x).hex() for x in Random(1).normal(len(FIRST_NORMAL))) == FIRST_NORMAL
     assert tuple(float(x).hex() for x in Random(1).uniform(len(FIRST_UNIFORM))) == FIRST_UNIFORM
 
 
-def test_bits_are_those_of_the_reference_generator():
+def test_the_bits_equal_those_of_the_reference_generator():
     """The bits are those of xoshiro256++ as its authors wrote it, here in Python integers."""
     state = [int(word) for word in np.random.SeedSequence(1).generate_state(4, np.uint64)]
     mask = 2**64 - 1

@@ -69,7 +69,7 @@ def pages(
 PAGES = dict(pages(command_line()))
 
 
-def test_a_reader_that_ends_early_ends_the_program_quietly() -> None:
+def test_a_closed_pipe_ends_the_program_quietly() -> None:
     """The reader ends early in `impact-rig interface --json | head`."""
     with subprocess.Popen([*PROGRAM, "interface", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -93,7 +93,7 @@ def test_the_help_lists_the_commands_under_headings() -> None:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_help_page_has_examples_that_can_be_given(name: str) -> None:
+def test_every_help_page_has_examples_that_parse(name: str) -> None:
     page = PAGES[name].format_help()
     examples = re.findall(r"^  impact-rig (.*)$", page, flags=re.MULTILINE)
     assert examples
@@ -112,7 +112,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("words", "answer"), WRONG)
-def test_a_word_that_is_no_command_is_answered(
+def test_an_unknown_command_is_answered_with_help(
     words: list[str], answer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -121,7 +121,9 @@ def test_a_word_that_is_no_command_is_answered(
     assert answer in capsys.readouterr().err
 
 
-def test_measurements_fit_80_columns_whole_and_without_nan(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_of_measurements_fit_80_columns_without_cuts_or_nan(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["analyze", str(run)]) == 0
     said = capsys.readouterr().out
     assert re.match(r"DT \d+\.\d+ ± \d\.\d+ \(2u\), phase -\d+\.\d+°, at 9.1 Hz", said), "the result comes first"
@@ -135,7 +137,7 @@ def test_measurements_fit_80_columns_whole_and_without_nan(run: Path, capsys: py
     assert re.search(r"^ +9\.100 .*command_changed", capsys.readouterr().out, flags=re.MULTILINE)
 
 
-def test_json_tells_the_numbers_that_the_table_shows(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_contains_the_numbers_of_the_table(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(run)]) == 0
     shown = capsys.readouterr().out
     assert main(["analyze", str(run), "--json"]) == 0
@@ -155,7 +157,7 @@ def test_json_tells_the_numbers_that_the_table_shows(run: Path, capsys: pytest.C
     assert [one["channel"] for one in sine["channels"]] == ["accelerometer", "laser", "base", "current"]
 
 
-def test_json_of_a_configuration_names_law_and_channels(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_of_a_configuration_names_the_law_and_the_channels(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", NOMINAL, "--instruments", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["contact_law"] == "flores"
@@ -179,7 +181,7 @@ def test_units_and_numbers_of_a_table_are_never_cut() -> None:
     assert max(map(len, said.splitlines())) <= 50
 
 
-def test_no_colour_where_none_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_output_has_no_colour_where_colour_is_disabled(monkeypatch: pytest.MonkeyPatch) -> None:
     def said() -> str:
         console = Console()
         console.file = io.StringIO()
@@ -193,7 +195,7 @@ def test_no_colour_where_none_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None
     assert said() == "whole\n"
 
 
-def test_progress_without_a_terminal_is_some_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_without_a_terminal_is_printed_as_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:
     lines = Steps("runs", 200)
     for done in range(201):
         lines.show(done, "gap 2 mm")
@@ -205,13 +207,13 @@ def test_progress_without_a_terminal_is_some_plain_lines(capsys: pytest.CaptureF
     assert len(printed) <= terminal.LINES + 1
 
 
-def test_json_has_no_number_that_json_lacks(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_output_contains_no_nan_or_infinity(capsys: pytest.CaptureFixture[str]) -> None:
     tell_json({"a": math.nan, "b": (1.5, math.inf), "c": Path("x"), 4: b"word"})
     assert json.loads(capsys.readouterr().out) == {"a": None, "b": [1.5, None], "c": "x", "4": "word"}
 
 
 @pytest.mark.parametrize("words", [("check", "{}", "--json"), ("campaign", "{}", "--output", "{}_run")])
-def test_a_name_that_is_no_text_goes_out_as_it_came_in(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_file_name_that_is_not_utf_8_is_printed_unchanged(words: tuple[str, ...], tmp_path: Path) -> None:
     """Results appear on the terminal even if the locale is strict about UTF-8."""
     file = tmp_path / os.fsdecode(b"m\xff 1.yaml")
     study = "studies: {one: {frequencies_hz: 9.1, gaps_m: 0.01}}\nset: {daq.rate_hz: 1000}\n"
@@ -291,27 +293,27 @@ def reported_without(missing: str, line: str, folder: Path) -> str:
         "lab_node", "stepped_sine_node",
     ],
 )  # fmt: skip
-def test_without_ros_one_line_names_the_remedy_and_nothing_is_made(line: str, tmp_path: Path) -> None:
+def test_one_line_names_the_remedy_if_ros_is_missing_and_no_file_is_created(line: str, tmp_path: Path) -> None:
     needs = reported_without(ROS, line, tmp_path)
     assert re.fullmatch(r"ROS 2 Jazzy \(No module [^\n]*\[wheels\][^\n]*\n", needs)
 
 
 @pytest.mark.parametrize("line", ["lab --sample", "lab_node"])
-def test_without_the_library_of_the_page_one_line_names_the_remedy(line: str, tmp_path: Path) -> None:
+def test_one_line_names_the_remedy_if_the_library_of_the_page_is_missing(line: str, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="lab_node needs ROS 2 first")
     needs = reported_without("aiohttp", line, tmp_path)
     assert needs == "aiohttp, which is not installed: pip install 'impact_rig[lab]'\n"
 
 
 @pytest.mark.parametrize("name", ["RosRig", "Client", "driver.RosRig", "client.Collector", "testing.LocalRigWithNodes"])
-def test_without_ros_a_class_names_the_remedy(name: str, tmp_path: Path) -> None:
+def test_a_class_that_needs_ros_names_the_remedy_if_it_is_missing(name: str, tmp_path: Path) -> None:
     package, _, one = f"impact_rig.{name}".rpartition(".")
     done = without(ROS, tmp_path, f"from {package} import {one}")
     last = done.stderr.splitlines()[-1]
     assert re.fullmatch(rf"\S+ImpactRigError: \S+\.{one} needs ROS 2 Jazzy \(No module .*\[wheels\].*", last), last
 
 
-def test_a_missing_module_of_this_project_is_no_missing_library() -> None:
+def test_a_missing_module_of_this_project_is_not_reported_as_a_missing_library() -> None:
     with pytest.raises(ModuleNotFoundError):
         load_ros("impact_rig.absent", "a test")
 
@@ -326,7 +328,7 @@ def test_every_command_that_can_run_through_ros_declares_it() -> None:
     assert declared
 
 
-def test_what_an_output_cannot_encode_is_written_as_in_json(run: Path, tmp_path: Path) -> None:
+def test_characters_that_the_output_cannot_encode_are_escaped_as_in_json(run: Path, tmp_path: Path) -> None:
     """A traceback would have the exit code of `different`."""
     file = tmp_path / "gäp ± 😀"
     file.symlink_to(run)

@@ -87,7 +87,7 @@ NEW = [
 
 
 @pytest.mark.parametrize(("change", "said"), BREAKS + NEW, ids=lambda one: one if isinstance(one, str) else "")
-def test_a_change_is_told_by_name_and_by_whether_it_breaks_a_client(change: Callable[[Document], None], said: str):
+def test_each_change_is_listed_by_name_and_by_whether_it_breaks_a_client(change: Callable[[Document], None], said: str):
     changed = copy.deepcopy(PRESENT)
     change(changed)
     breaks, other = differences(PRESENT, changed)
@@ -97,7 +97,7 @@ def test_a_change_is_told_by_name_and_by_whether_it_breaks_a_client(change: Call
     assert not none
 
 
-def test_what_is_said_of_a_row_is_no_part_of_the_interface():
+def test_the_description_of_a_row_is_not_part_of_the_interface():
     changed = copy.deepcopy(PRESENT)
     topic("daq/scan", doc="Other words.")(changed)
     assert differences(PRESENT, changed) == ([], [])
@@ -122,7 +122,7 @@ def test_the_command_prints_the_document_and_compares_it(tmp_path: Path, capsys:
 @pytest.mark.parametrize(
     "text", ["", "[]", "7", '{"topics": {"a": 1}}', '{"topics": [], "services": 1}', "[" * 100_000]
 )
-def test_what_is_no_document_is_refused_by_name(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_invalid_document_is_rejected_by_name(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "other.json").write_text(text)
     assert main(["interface", "--against", str(tmp_path / "other.json")]) == 1
     assert "other.json" in capsys.readouterr().err

@@ -41,7 +41,7 @@ def check(directory: Path) -> None:
         assert reanalysis.compare(run, found).same is not False
 
 
-def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recorded_run_reports_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--frequency", "9.1Hz", "--current", "520mA", "--gap", "6mm", "--seconds", "25", "--seed", "3", *RATE]
     assert main(["record", *words, "--output", str(tmp_path / "run")]) == 0
     printed = capsys.readouterr()
@@ -62,7 +62,9 @@ def test_a_run_with_its_dt_and_its_budget(tmp_path: Path, capsys: pytest.Capture
     )
 
 
-def test_a_run_too_short_for_a_measurement_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_that_is_too_short_for_a_measurement_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["record", "--seconds", "2", *RATE, "--gap", "none", "--output", str(tmp_path / "run"), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["transmissibility"] is None
@@ -70,7 +72,7 @@ def test_a_run_too_short_for_a_measurement_says_so(tmp_path: Path, capsys: pytes
     check(tmp_path / "run")
 
 
-def test_a_trip_ends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_trip_ends_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["record", "--current", "12", *RATE, "--output", str(tmp_path / "run")]) == 1
     assert "ended early: the rig tripped: over_travel" in " ".join(capsys.readouterr().out.split())
     check(tmp_path / "run")
@@ -86,7 +88,7 @@ def test_a_trip_ends_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         (("--through", "running", "--seed", "2"), "--seed applies only to a rig"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_before_anything_is_made(
+def test_an_impossible_recording_is_rejected_before_any_file_is_created(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
 ) -> None:
     (tmp_path / "stream.yaml").write_text("{drive: {waveform: stream}}")
@@ -96,7 +98,7 @@ def test_what_cannot_be_recorded_is_refused_before_anything_is_made(
     assert not (tmp_path / "run").exists()
 
 
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_run_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "own.txt").write_text("mine")
     assert main(["record", "--seconds", "1", "--output", str(tmp_path / "run")]) == 1
@@ -118,7 +120,7 @@ def test_ctrl_c_leaves_a_readable_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.ros
-def test_through_the_graph_it_is_the_same_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_over_topics_has_the_same_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     words = ["record", "--gap", "none", "--seconds", "25", *RATE, "--json"]
     found = []

@@ -32,13 +32,13 @@ TRICKS = "run [gap=2mm] x [/red] :smile: \x1b[31m\x1b]0;title\x07 \u202e \r\n\ud
 SHOWN = "run [gap=2mm] x [/red] :smile: \\x1b[31m\\x1b]0;title\\x07 \\u202e \\r\\n\\ud800"
 
 
-def test_what_cannot_be_seen_is_shown_as_its_escape() -> None:
+def test_invisible_characters_are_shown_as_escapes() -> None:
     assert visible(TRICKS) == SHOWN
     assert visible("gap 6 mm, ±2u, χ², 测") == "gap 6 mm, ±2u, χ², 测"
     assert visible("a\nb\x1b", lines=True) == "a\nb\\x1b"
 
 
-def test_a_value_that_does_not_exist_is_no_number() -> None:
+def test_a_missing_value_is_not_shown_as_a_number() -> None:
     assert figure(1.234, ".2f") == "1.23"
     assert {figure(value, "+.3g") for value in (float("nan"), float("inf"), -float("inf"))} == {"-"}
     assert figure(float("nan"), "g", "unknown") == "unknown"
@@ -52,18 +52,18 @@ def drawn(what: object) -> str:
     return console.file.getvalue()
 
 
-def test_text_is_printed_whole() -> None:
+def test_text_with_markup_is_printed_unchanged() -> None:
     assert drawn(TRICKS) == f"{SHOWN}\n"
 
 
-def test_text_in_tables_and_headings_is_printed_whole() -> None:
+def test_text_in_tables_and_headings_is_printed_unchanged() -> None:
     table = Table(TRICKS, title=TRICKS, caption=TRICKS)
     table.add_row(TRICKS)
     assert drawn(table).count(SHOWN) == 4
 
 
 @pytest.mark.parametrize("width", [80, 38, 12])
-def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
+def test_numbers_in_a_table_keep_all_their_digits(width: int) -> None:
     """If 9.105 Hz were cut to 9.10, it would be another frequency."""
     console = Console()
     console.file, console.width = io.StringIO(), width
@@ -75,7 +75,7 @@ def test_no_number_in_a_table_loses_its_last_digits(width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [80, 38, 12])
-def test_a_verdict_without_a_heading_is_not_taken_apart(width: int) -> None:
+def test_a_column_without_a_heading_keeps_its_text_in_one_piece(width: int) -> None:
     """A column without a heading must not be so narrow that its text is split into letters, or missing."""
     console = Console()
     console.file, console.width = io.StringIO(), width
@@ -85,7 +85,7 @@ def test_a_verdict_without_a_heading_is_not_taken_apart(width: int) -> None:
     assert all(word in console.file.getvalue() for word in ("differs", "+254214.2"))
 
 
-def test_text_in_a_progress_display_is_printed_whole() -> None:
+def test_text_in_a_progress_display_is_printed_unchanged() -> None:
     console = Console()
     console.file = io.StringIO()
     console.width = 200
@@ -96,7 +96,7 @@ def test_text_in_a_progress_display_is_printed_whole() -> None:
 
 @pytest.mark.parametrize("name", ["run [gap=2mm] x", "[/red]", "\x1b[31m"])
 @pytest.mark.parametrize("command", ["info", "check", "replay", "verify"])
-def test_the_name_of_a_file_is_printed_whole(
+def test_file_names_are_printed_unchanged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
 ) -> None:
     assert main([command, str(tmp_path / name)]) == 1
@@ -105,7 +105,7 @@ def test_the_name_of_a_file_is_printed_whole(
     assert "\x1b" not in shown
 
 
-def test_there_is_one_way_to_the_terminal() -> None:
+def test_all_modules_print_through_the_console_of_the_package() -> None:
     """A module that imports rich's own console, or its columns that parse markup, would bypass ours."""
     for path in CLI.glob("*.py"):
         if path.name == "terminal.py":

@@ -95,7 +95,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_name_that_is_none_takes_no_process_out_of_the_end(module: Path) -> None:
+def test_an_unknown_name_does_not_prevent_the_end_of_other_processes(module: Path) -> None:
     """If a name is unknown, the processes named before it must still be stopped."""
     (module / "sleeps.py").write_text("import time\ntime.sleep(60)\n")
     with Processes(1, module / "logs") as processes:
@@ -106,7 +106,7 @@ def test_a_name_that_is_none_takes_no_process_out_of_the_end(module: Path) -> No
     assert process.exit_code is not None
 
 
-def test_a_process_that_dies_is_quoted_with_its_exit_code(module: Path) -> None:
+def test_the_last_output_and_exit_code_of_a_dead_process_are_reported(module: Path) -> None:
     (module / "dies.py").write_text("import sys\nprint('line', 'one')\nprint('the reason')\nsys.exit(3)\n")
     with Processes(1, module / "logs") as processes:
         process = processes.start("dies")
@@ -117,7 +117,7 @@ def test_a_process_that_dies_is_quoted_with_its_exit_code(module: Path) -> None:
     assert str(died.value).endswith("    line one\n    the reason")
 
 
-def test_a_process_that_ignores_signals_is_ended_all_the_same(module: Path) -> None:
+def test_a_process_that_ignores_signals_is_ended(module: Path) -> None:
     stubborn = "import signal\nfor n in (signal.SIGINT, signal.SIGTERM): signal.signal(n, signal.SIG_IGN)\n"
     (module / "stubborn.py").write_text(stubborn + "print('ready')\nwhile True: signal.pause()\n")
     with Processes(1, module / "logs") as processes:
@@ -130,7 +130,7 @@ def test_a_process_that_ignores_signals_is_ended_all_the_same(module: Path) -> N
             processes.stop("stubborn")
 
 
-def test_a_name_is_used_once(module: Path) -> None:
+def test_the_name_of_a_process_can_be_used_only_once(module: Path) -> None:
     (module / "waits.py").write_text("import signal\nsignal.pause()\n")
     with Processes(1, module / "logs") as processes:
         processes.start("waits")
@@ -180,7 +180,7 @@ def test_a_node_ends_when_the_process_that_started_it_is_killed(tmp_path: Path) 
 
 @pytest.mark.ros
 @pytest.mark.parametrize("value", ["twelve", "-1", "²"])
-def test_a_domain_of_the_environment_that_is_no_number_is_refused_in_words(
+def test_an_invalid_domain_in_the_environment_is_rejected_with_a_message(
     value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")

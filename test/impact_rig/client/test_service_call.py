@@ -76,7 +76,7 @@ def serve(client: Client) -> Iterator[Callable[[Any, str], Deaf]]:
     node.destroy_node()
 
 
-def test_a_lost_answer_of_a_repeatable_request_is_asked_for_again(client: Client, serve: Callable[..., Deaf]) -> None:
+def test_a_repeatable_request_is_sent_again_if_its_answer_is_lost(client: Client, serve: Callable[..., Deaf]) -> None:
     name = "node/set_parameters_atomically"
     deaf = serve(SetParametersAtomically, name)
     began = time.monotonic()
@@ -85,7 +85,7 @@ def test_a_lost_answer_of_a_repeatable_request_is_asked_for_again(client: Client
     assert time.monotonic() >= began + AGAIN_S
 
 
-def test_a_request_that_may_not_be_repeated_is_sent_once(client: Client, serve: Callable[..., Deaf]) -> None:
+def test_a_request_that_must_not_be_repeated_is_sent_once(client: Client, serve: Callable[..., Deaf]) -> None:
     deaf = serve(Trigger, "rig/pluck")
     with pytest.raises(WaitTimeoutError, match="an answer of rig/pluck"):
         client.call(Trigger, "rig/pluck", Trigger.Request(), timeout_s=2 * AGAIN_S)

@@ -43,7 +43,7 @@ class Worker:
         time.sleep(self._works_s or timeout_sec)
 
 
-def test_the_work_of_a_hosted_node_does_not_eat_the_time_to_wait() -> None:
+def test_the_work_of_a_hosted_node_does_not_shorten_the_timeout() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Spinner
 
@@ -65,7 +65,7 @@ def run_pytest(tmp_path: Path, source: str, *options: str) -> subprocess.Complet
 
 
 @pytest.mark.ros
-def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) -> None:
+def test_a_client_works_while_pytest_captures_output(tmp_path: Path) -> None:
     """Under `pytest -s` with `capsys`, sys.stderr has no file."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     done = run_pytest(
@@ -80,7 +80,7 @@ def test_a_client_works_where_pytest_captures_what_is_printed(tmp_path: Path) ->
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_begun() -> None:
+def test_a_command_fails_when_its_rig_is_silent_or_another_rig_has_started() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import GONE_S, Activation, RigGoneError
 
@@ -109,7 +109,7 @@ def test_what_was_given_to_a_rig_is_over_when_it_is_silent_or_another_one_has_be
     rig.given("a command to the second")()
 
 
-def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
+def test_a_command_addresses_the_rig_whose_start_the_client_has_seen() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Activation, RigGoneError
 
@@ -133,7 +133,7 @@ def test_a_rig_that_the_user_has_seen_start_is_the_one_that_is_meant() -> None:
         check()
 
 
-def test_a_command_given_at_once_belongs_to_the_rig_that_is_there() -> None:
+def test_an_immediate_command_belongs_to_the_rig_that_is_running() -> None:
     """A quick client must not take the successor for its rig because outdated diagnostics are ignored for a while."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Activation, RigGoneError
@@ -164,7 +164,7 @@ def say(client: Client, name: str, instance: str = "", lifecycle: str = "active"
 
 
 @pytest.mark.ros
-def test_a_rig_that_has_just_been_activated_is_no_other_rig() -> None:
+def test_a_rig_that_was_just_activated_is_not_taken_for_another_one() -> None:
     """Its diagnostics from before, with another instance, may arrive just before those of the active rig."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client import Client, isolated_domain
@@ -180,7 +180,7 @@ def test_a_rig_that_has_just_been_activated_is_no_other_rig() -> None:
 
 
 @pytest.mark.ros
-def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
+def test_a_rig_outside_the_namespace_is_a_different_rig() -> None:
     """`/rig` must not be taken for `/here/rig`; then its commands would be reported as lost with a rig that is gone."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client import Client, isolated_domain
@@ -195,7 +195,7 @@ def test_a_rig_outside_of_the_namespace_is_another_one() -> None:
 
 
 @pytest.mark.ros
-def test_a_list_is_emptied_as_an_empty_list() -> None:
+def test_an_empty_list_parameter_is_sent_as_an_empty_list() -> None:
     """ROS 2 cannot state the type of an empty list: the rig expects strings, and rclpy would send bytes."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from kits.nodes import host_rig
