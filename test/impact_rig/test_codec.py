@@ -66,18 +66,18 @@ def assert_same(left, right):
 
 
 @given(tables())
-def test_any_table_comes_back(table):
+def test_any_table_is_decoded_as_encoded(table):
     assert_same(decode(encode(table)), table)
 
 
 @pytest.mark.parametrize("name", TABLE_DTYPES)
 @pytest.mark.parametrize("rows", [0, 1, 7])
-def test_every_table_of_the_interface_comes_back(name, rows):
+def test_every_table_of_the_interface_is_decoded_as_encoded(name, rows):
     table = Table(0, np.zeros(rows, TABLE_DTYPES[name]))
     assert_same(decode(encode(table)), table)
 
 
-def test_rows_are_a_view_that_cannot_be_written():
+def test_decoded_rows_are_a_read_only_view():
     """Copying 20 kB per block would cost time, and a reader that changed it would change the recording."""
     data = bytearray(encode(scan_table()))
     rows = decode(data).rows
@@ -87,7 +87,7 @@ def test_rows_are_a_view_that_cannot_be_written():
         rows["time"] = 0
 
 
-def test_messages_of_one_length_are_told_apart():
+def test_messages_of_equal_length_and_different_type_are_distinguished():
     """The type of one message must not decide how the next one of the same length is read."""
     one, other = np.dtype([("ab", "<f4"), ("cd", "<u4")]), np.dtype([("cd", "<u4"), ("ab", "<f4")])
     wide, narrow = np.dtype([("ab", "<f8"), ("cd", "<f8")]), np.dtype([("ab", "<f4"), ("cd", "<f4")])
@@ -101,7 +101,7 @@ def test_messages_of_one_length_are_told_apart():
             assert_same(decode(encode(table)), table)
 
 
-def test_a_message_that_lies_is_refused_though_one_of_its_length_was_read():
+def test_an_inconsistent_message_is_rejected_after_a_valid_one_of_its_length():
     good = encode(scan_table())
     decode(good)
     row_step = len(good) - 1 - scan_table().rows.nbytes - 8
@@ -110,7 +110,7 @@ def test_a_message_that_lies_is_refused_though_one_of_its_length_was_read():
         decode(lie)
 
 
-def test_rows_with_holes_and_columns_in_any_order_are_read():
+def test_rows_with_padding_and_columns_in_any_order_are_read():
     """PointCloud2 allows padding of points and any order of fields; PCL uses both."""
     dtype = np.dtype({"names": ["b", "a"], "formats": ["<f8", "u1"], "offsets": [8, 0], "itemsize": 24})
     rows = np.zeros(2, dtype)
@@ -142,7 +142,7 @@ def test_slices_that_are_not_contiguous_are_encoded_as_their_rows():
         (Table(0, np.zeros(1, SCAN), "a\0b"), "frame_id must not hold a NUL"),
     ],
 )
-def test_a_table_that_no_message_can_hold_is_refused(table, message):
+def test_a_table_that_does_not_fit_a_message_is_rejected(table, message):
     with pytest.raises(CodecError, match=message):
         encode(table)
 
@@ -164,7 +164,7 @@ def test_the_stamp_is_read_without_decoding(stamp):
         (b"\0\1\0\0" + struct.pack("<iI", 0, 10**9), "nanoseconds of the stamp must be < 1000000000"),
     ],
 )
-def test_a_stamp_that_is_none_is_refused(data, message):
+def test_an_invalid_stamp_is_rejected(data, message):
     with pytest.raises(CodecError, match=message):
         header_stamp_ns(data)
     with pytest.raises(CodecError, match=message):
@@ -218,7 +218,7 @@ class Message:
 MANY = (2**32 - 1) // 9  # rows of the largest table whose length fits its field
 
 
-def test_a_message_written_by_hand_is_read():
+def test_a_message_of_an_independent_writer_is_read():
     table = decode(bytes(Message()))
     assert table.rows.dtype == np.dtype([("a", "<f8"), ("b", "u1")])
     assert len(table.rows) == 2
@@ -255,7 +255,7 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"trailing": bytes(4)}, "4 bytes follow the end"),
     ],
 )
-def test_a_message_that_lies_is_refused_with_the_reason(wrong, message):
+def test_an_inconsistent_message_is_rejected_with_the_reason(wrong, message):
     with pytest.raises(CodecError, match=message):
         decode(bytes(Message(**wrong)))
 
@@ -265,7 +265,7 @@ def test_a_huge_point_without_rows_allocates_nothing():
 
 
 @pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
-def test_every_truncation_is_refused(name):
+def test_every_truncated_message_is_rejected(name):
     data = encode(Table(1, np.zeros(2, TABLE_DTYPES[name])))
     for length in range(len(data)):
         with pytest.raises(CodecError):
@@ -273,7 +273,7 @@ def test_every_truncation_is_refused(name):
 
 
 @pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
-def test_no_flipped_bit_crashes(name):
+def test_a_flipped_bit_never_crashes_the_decoder(name):
     """A flipped bit in the data or a name gives another table; any other flip is rejected."""
     data = bytearray(encode(Table(1, np.zeros(2, TABLE_DTYPES[name]))))
     for position in range(len(data)):
@@ -286,7 +286,7 @@ def test_no_flipped_bit_crashes(name):
 @settings(max_examples=500)
 @given(tables(), st.data())
 @pytest.mark.repeats
-def test_no_changed_bytes_crash(table, data):
+def test_changed_bytes_never_crash_the_decoder(table, data):
     raw = bytearray(encode(table))
     for _ in range(data.draw(st.integers(1, 8))):
         position = data.draw(st.integers(0, len(raw) - 1))
@@ -296,7 +296,7 @@ def test_no_changed_bytes_crash(table, data):
 
 @settings(max_examples=500)
 @given(st.binary(max_size=300))
-def test_no_random_bytes_crash(raw):
+def test_random_bytes_never_crash_the_decoder(raw):
     _decode_or_refuse(raw)
     _decode_or_refuse(b"\0\1\0\0" + raw)
 
@@ -315,7 +315,7 @@ def _decode_or_refuse(raw):
 
 @pytest.mark.ros
 @given(tables())
-def test_rclpy_reads_what_encode_writes_and_writes_what_decode_reads(table):
+def test_encode_and_decode_are_compatible_with_rclpy(table):
     from rclpy.serialization import deserialize_message, serialize_message
     from sensor_msgs.msg import PointCloud2
 
@@ -358,7 +358,7 @@ def test_the_stamp_of_any_message_with_a_header_is_found():
 
 
 @pytest.mark.parametrize("count", [-1, 0, 13, 10**30])
-def test_members_in_no_number_that_fits_the_message_are_refused(count):
+def test_a_number_of_members_that_does_not_fit_the_message_is_rejected(count):
     """A definition in a file may state any number of members: none or very many must not raise Python's own errors."""
     message = b"\0\1\0\0" + bytes(12)
     assert plain(message, [("x", "uint8", 12)]) == {"x": (0,) * 12}
@@ -389,7 +389,7 @@ def one_of(topic):
 
 
 @pytest.mark.parametrize("topic", [topic for topic in topics.COMMON if topic.columns is not None], ids=lambda t: t.name)
-def test_each_column_that_is_missing_or_of_another_type_is_named_or_filled(topic):
+def test_each_missing_or_mistyped_column_is_named_or_filled(topic):
     table = one_of(topic)
     assert checked(table, topic) is table
     for column in topic.fields:
@@ -421,19 +421,19 @@ def test_each_column_that_is_missing_or_of_another_type_is_named_or_filled(topic
         (topics.TRANSMISSIBILITY_TABLE, "waited", 1e308, "got 1e+308 in row 1"),
     ],
 )  # fmt: skip
-def test_a_value_that_no_table_of_the_topic_holds_is_refused_by_name(topic, name, value, said):
+def test_an_invalid_value_of_a_topic_is_rejected_by_name(topic, name, value, said):
     with pytest.raises(CodecError, match=re.escape(said)):
         checked(changed(one_of(topic), name, value), topic)
 
 
-def test_narrower_numbers_and_further_columns_are_taken():
+def test_narrower_numbers_and_extra_columns_are_accepted():
     narrow = changed(one_of(topics.APPLIED), "frequency", 9.5, kinds={"frequency": "<f4", "later": "<i2"})
     rows = decode(encode(narrow), topics.APPLIED).rows
     assert rows.dtype.names == (*topics.APPLIED.columns.names, "later")
     assert (rows["frequency"].dtype, rows["frequency"][1]) == (np.dtype("f8"), 9.5)
 
 
-def test_a_scan_needs_the_channels_that_are_asked_for_as_numbers():
+def test_a_scan_needs_the_requested_channels_as_numbers():
     scan = scan_table()
     with pytest.raises(CodecError, match="daq/scan: column 'accelerometer' is missing"):
         checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("accelerometer", "laser"))
@@ -442,7 +442,7 @@ def test_a_scan_needs_the_channels_that_are_asked_for_as_numbers():
         checked(changed(scan, kinds={"laser": TEXT}), topics.SCAN)
 
 
-def test_rows_that_do_not_lie_together_are_checked_like_others():
+def test_rows_that_are_not_contiguous_are_checked_like_others():
     rows = np.zeros(7, topics.APPLIED.columns)
     rows["sample"][4], rows["sample"][5] = 0.5, -1.0
     with pytest.raises(CodecError, match=r"sample must be a whole number .* got 0.5 in row 2 \(from 0\)"):

@@ -47,7 +47,7 @@ def write(tmp_path, text):
     return path
 
 
-def test_every_value_says_what_it_is():
+def test_every_value_has_a_description():
     for name, (about, _) in FIELDS.items():
         assert about.doc.endswith("."), name
         assert about.unit, name
@@ -61,31 +61,31 @@ def test_names_carry_their_unit():
         assert name.removesuffix("_rms").endswith(endings.get(about.unit, "")), f"{name} [{about.unit}]"
 
 
-def test_flat_and_back_is_the_same():
+def test_flattening_a_configuration_is_reversible():
     assert config.from_flat(RigConfig(), config.to_flat(RigConfig())) == RigConfig()
 
 
 @given(gap=st.floats(1e-4, 0.05), law=st.sampled_from(tuple(LAWS)), peers=st.lists(st.sampled_from("abc")))
-def test_what_is_dumped_loads_as_the_same(gap, law, peers, tmp_path_factory):
+def test_a_dumped_configuration_loads_unchanged(gap, law, peers, tmp_path_factory):
     changed = config.from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.law": law, "time.peers": peers})
     path = tmp_path_factory.mktemp("dump") / "mine.yaml"
     path.write_text(config.dump(changed), encoding="utf-8")
     assert config.load_config(path) == changed
 
 
-def test_a_file_may_leave_out_the_outer_keys_and_most_values(tmp_path):
+def test_a_file_can_omit_the_outer_keys_and_most_values(tmp_path):
     bare = config.load_config(write(tmp_path, "barriers: {gap_m: 0.004}\n"))
     wrapped = config.load_config(write(tmp_path, "/**:\n  ros__parameters:\n    barriers:\n      gap_m: 0.004\n"))
     assert bare == wrapped == config.from_flat(RigConfig(), {"barriers.gap_m": 0.004})
     assert config.load_config(write(tmp_path, "")) == RigConfig()
 
 
-def test_overrides_go_on_top_of_the_file(tmp_path):
+def test_overrides_take_precedence_over_the_file(tmp_path):
     path = write(tmp_path, "barriers: {gap_m: 0.004}\n")
     assert config.load_config(path, {"barriers.gap_m": 0.008}).barriers.gap_m == 0.008
 
 
-def test_an_integer_is_taken_where_a_number_is_meant():
+def test_an_integer_is_accepted_for_a_float():
     changed = config.from_flat(RigConfig(), {"shaker.ramp_s": 1})
     assert changed.shaker.ramp_s == 1.0
     assert type(changed.shaker.ramp_s) is float
@@ -93,14 +93,14 @@ def test_an_integer_is_taken_where_a_number_is_meant():
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "1.0", True, None, [1.0], 10**400])
-def test_no_number_field_takes_anything_but_finite_numbers(name, value):
+def test_number_fields_accept_only_finite_numbers(name, value):
     with pytest.raises(ConfigError, match=name.split(".")[-1]):
         config.from_flat(RigConfig(), {name: value})
 
 
 @pytest.mark.parametrize("name", INTEGERS)
 @pytest.mark.parametrize("value", [1.5, math.nan, "1", True, None, 2**100])
-def test_no_integer_field_takes_anything_but_integers(name, value):
+def test_integer_fields_accept_only_integers(name, value):
     with pytest.raises(ConfigError, match=f"{name.split('.')[-1]} must be"):
         config.from_flat(RigConfig(), {name: value})
 
@@ -120,7 +120,7 @@ def test_a_switch_is_true_or_false(name, value):
 
 
 @pytest.mark.parametrize("name", NUMBERS + INTEGERS)
-def test_limits_hold_on_both_sides(name):
+def test_limits_apply_on_both_sides(name):
     about, default = FIELDS[name]
     kind = type(default)
     for limit, is_open, outside in ((about.low, about.low_open, -math.inf), (about.high, about.high_open, math.inf)):
@@ -151,26 +151,26 @@ def test_limits_hold_on_both_sides(name):
         ({"drive.frequency_hz": 4.0}, "drive.frequency_hz must be within the shaker's 5 to 200 Hz, got 4"),
     ],
 )
-def test_a_refusal_names_key_value_and_range(changes, message):
+def test_a_rejection_names_key_value_and_range(changes, message):
     with pytest.raises(ConfigError) as refused:
         config.from_flat(RigConfig(), changes)
     assert message in str(refused.value)
 
 
-def test_changes_are_judged_together_not_one_by_one():
+def test_changes_are_validated_together():
     """Both new limits are above the old upper one, so one at a time would be rejected in either order."""
     changes = {"shaker.frequency_min_hz": 300.0, "shaker.frequency_max_hz": 400.0, "drive.frequency_hz": 350.0}
     assert config.from_flat(RigConfig(), changes).drive.frequency_hz == 350.0
 
 
-def test_one_bad_change_refuses_all():
+def test_one_invalid_change_rejects_all_changes():
     base = RigConfig()
     with pytest.raises(ConfigError):
         config.from_flat(base, {"barriers.gap_m": 0.004, "contact.restitution": 7.0})
     assert base == RigConfig()
 
 
-def test_sections_are_frozen():
+def test_sections_are_immutable():
     with pytest.raises(attrs.exceptions.FrozenInstanceError):
         RigConfig().barriers.gap_m = 1.0
 
@@ -197,7 +197,7 @@ def test_sections_are_frozen():
     ],
     ids=lambda value: repr(value)[:30],
 )
-def test_a_malformed_file_is_refused_with_its_name(tmp_path, text, message):
+def test_a_malformed_file_is_rejected_with_its_name(tmp_path, text, message):
     path = write(tmp_path, text)
     with pytest.raises(ConfigError) as refused:
         config.load_config(path)
@@ -205,14 +205,14 @@ def test_a_malformed_file_is_refused_with_its_name(tmp_path, text, message):
     assert str(path) in str(refused.value)
 
 
-def test_a_file_that_is_not_there_is_refused_with_its_name(tmp_path):
+def test_a_missing_file_is_rejected_with_its_name(tmp_path):
     with pytest.raises(ConfigError, match=r"cannot read configuration: No such file.*nowhere\.yaml"):
         config.load_config(tmp_path / "nowhere.yaml")
     with pytest.raises(ConfigError, match="cannot read configuration: Is a directory"):
         config.load_config(tmp_path)
 
 
-def test_a_file_of_the_package_is_named_where_it_is_installed(tmp_path, monkeypatch):
+def test_the_error_of_a_missing_file_names_the_installed_one(tmp_path, monkeypatch):
     """The pages call it `config/nominal.yaml`, which is not in the working directory of an installed package."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=r"\(config/nominal\.yaml\); the package has (.+)") as refused:
@@ -231,7 +231,7 @@ def test_a_file_of_the_package_is_named_where_it_is_installed(tmp_path, monkeypa
         ("structure.mass_kg", "1.5E-1", 0.15),
     ],
 )
-def test_what_yaml_takes_for_something_else_is_taken_for_what_was_meant(name, given, taken):
+def test_values_that_yaml_misreads_are_read_as_intended(name, given, taken):
     assert config.to_flat(config.from_flat(RigConfig(), {name: given}))[name] == taken
 
 
@@ -245,20 +245,20 @@ def test_what_yaml_takes_for_something_else_is_taken_for_what_was_meant(name, gi
         ("drive.kind", "on"),
     ],
 )
-def test_what_means_nothing_is_still_refused(name, given):
+def test_meaningless_values_are_rejected(name, given):
     with pytest.raises(ConfigError, match=name):
         config.from_flat(RigConfig(), {name: given})
 
 
 @pytest.mark.parametrize("name", sorted(FIELDS))
-def test_no_word_to_choose_from_is_something_else_to_yaml(name):
+def test_choices_of_a_field_are_strings_in_yaml(name):
     """`ros2 param load` parses the text of a value once more: `on` would become a boolean."""
     for word in FIELDS[name][0].choices:
         assert yaml.safe_load(word) == word
 
 
 @given(st.sampled_from(sorted(FIELDS)), anything)
-def test_no_value_gets_past_the_validator(name, value):
+def test_no_invalid_value_passes_the_validator(name, value):
     """An accepted value has the field's type, is finite and in range; every other one is rejected with a message."""
     try:
         changed = config.from_flat(RigConfig(), {name: value})
@@ -285,7 +285,7 @@ def test_no_file_crashes_the_loader(content, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("formerly", "now"), [("freewheel", "free_running"), ("stepped", "lockstep")])
-def test_time_modes_of_the_version_before_are_read(formerly: str, now: str) -> None:
+def test_time_modes_of_the_previous_version_are_read(formerly: str, now: str) -> None:
     """Recordings contain the old names in their configurations."""
     assert from_flat(RigConfig(), {"time.peers": ["analysis"], "time.mode": formerly}).time.mode == now
     with pytest.raises(ConfigError, match="one of realtime, free_running, lockstep, got 'flying'"):

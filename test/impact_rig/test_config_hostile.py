@@ -52,7 +52,7 @@ def slipped(name: str) -> object:
 
 
 @pytest.mark.parametrize("name", [name for name, (about, value) in FIELDS.items() if about.unit in SLIPS and value])
-def test_a_slip_of_units_is_refused(name: str) -> None:
+def test_a_value_in_a_wrong_unit_is_rejected(name: str) -> None:
     """For example, a gap of 6 instead of 0.006, or a mass of 130 instead of 0.13."""
     with pytest.raises(ConfigError, match=f"{name.rsplit('.', maxsplit=1)[-1]} must be"):
         config.from_flat(RigConfig(), {name: slipped(name)})
@@ -103,7 +103,7 @@ def copy(tree: object) -> object:
 @settings(max_examples=max(1, CASES // 3))
 @given(st.lists(_mistakes, min_size=1, max_size=3), st.booleans())
 @pytest.mark.repeats
-def test_a_file_with_mistakes_is_refused_by_name_or_runs(tmp_path_factory, mistakes, wrapped) -> None:
+def test_a_file_with_mistakes_is_rejected_by_name_or_runs(tmp_path_factory, mistakes, wrapped) -> None:
     tree = copy(NOMINAL)
     for kind, name, what in mistakes:
         with_mistake(tree, kind, name, what)
@@ -130,7 +130,7 @@ def _runs(path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["a: 1\na: 2\n", "b: {a: 1, a: 1}", "- {'x': 1, x: 2}"])
-def test_a_key_that_is_there_twice_is_refused(text: str) -> None:
+def test_a_duplicate_key_is_rejected(text: str) -> None:
     """Otherwise, the later value would silently replace the first."""
     with pytest.raises(budget.PlainYamlError, match=r"duplicate key .* in line"):
         budget.load_yaml(text, 100)

@@ -33,7 +33,7 @@ def test_a_stamp_is_the_exact_instant_rounded_down(index, rate, start):
     assert 0 <= exact - stamp_ns(index, rate, start) < 1
 
 
-def test_stamps_do_not_drift_where_the_period_is_no_whole_number_of_nanoseconds():
+def test_stamps_with_a_period_of_fractional_nanoseconds_do_not_drift():
     """At 25,600 S/s a period is 39,062.5 ns; rounded periods would add up to an error of 12.8 µs in a second."""
     assert stamp_ns(25_600, 25_600) == NS_PER_S
     assert [stamp_ns(i, 25_600) for i in range(4)] == [0, 39_062, 78_125, 117_187]

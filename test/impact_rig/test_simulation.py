@@ -50,7 +50,7 @@ def test_a_small_dt_is_printed_with_its_uncertainty():
     assert float(printed[2]) == pytest.approx(2 * u, rel=0.05)
 
 
-def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
+def test_scans_equal_those_of_the_rig_and_found_impacts_are_the_true_ones():
     record = simulate(2.0, DRIVEN)
     rig = Rig(from_flat(RigConfig(), DRIVEN))
     blocks = rig.advance(2 * 10**9)
@@ -71,7 +71,7 @@ def test_scans_are_the_rigs_and_impacts_found_are_the_true_ones():
     ],
     ids=["time-out", "trip"],
 )
-def test_the_analysis_hears_of_a_drive_that_was_stopped(parameters):
+def test_the_analysis_knows_that_the_drive_was_stopped(parameters):
     """The analysis must know that the current is zero, not only the initial drive."""
     record = simulate(3.0, {**parameters, "sphere.present": False})
     assert (record.state.word, record.state.reason) == (AnalysisWord.AT_REST, "")
@@ -87,7 +87,7 @@ def test_scans_that_a_fault_withholds_are_missing_for_the_analysis_too():
     assert len(impact_rig.simulate(0.1, {"instruments.faults.planned": ["lost_block duration_s=1"]}).scans) == 0
 
 
-def test_what_cannot_be_simulated_is_refused():
+def test_an_impossible_simulation_is_rejected():
     for seconds in (0.0, -1.0, float("nan"), 1e9):
         with pytest.raises(ConfigError, match="seconds must be above 0"):
             simulate(seconds)
@@ -100,12 +100,12 @@ def test_what_cannot_be_simulated_is_refused():
         impact_rig.simulat  # noqa: B018
 
 
-def test_importing_the_package_loads_nothing_heavy():
+def test_importing_the_package_loads_no_large_library():
     code = "import sys, impact_rig; print({'numpy', 'scipy', 'attrs'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
 
 
-def test_a_record_of_which_every_scan_was_withheld_is_drawn_empty():
+def test_a_record_without_any_scan_is_drawn_empty():
     """The drawing must not need the time of a first scan."""
     record = simulate(0.1, {"instruments.faults.planned": ["lost_block"]})
     assert len(record.scans) == 0

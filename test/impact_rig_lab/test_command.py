@@ -61,7 +61,7 @@ def lab(directory: Path, *arguments: str, **environment: str) -> Iterator[str]:
         assert process.wait(PATIENCE_S) == 0, log.read_text()
 
 
-def test_a_run_is_there_at_once(sample: Path, open_page: Callable[..., Page], tmp_path: Path) -> None:
+def test_the_lab_shows_a_run_at_once(sample: Path, open_page: Callable[..., Page], tmp_path: Path) -> None:
     began = time.monotonic()
     with lab(tmp_path, str(sample)) as address:
         page = open_page(address)
@@ -70,7 +70,7 @@ def test_a_run_is_there_at_once(sample: Path, open_page: Callable[..., Page], tm
         page.js("lab.link.socket.onclose = null")
 
 
-def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_sample_contains_the_settings_of_the_analysis(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = {path.name: path.stat().st_mtime_ns for path in sample.iterdir()}
     assert make_sample(sample) == sample
     assert {path.name: path.stat().st_mtime_ns for path in sample.iterdir()} == written
@@ -80,7 +80,7 @@ def test_the_sample_says_what_the_analysis_was_set_to(sample: Path, capsys: pyte
     assert " 6 " in next(line for line in words.splitlines() if "periodic" in line), "the gap is known"
 
 
-def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_of_an_earlier_version_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as before:
         before.setattr("impact_rig.driver.sample_run.SAMPLE_S", 0)
         before.setattr("impact_rig.driver.sample_run.SAMPLE_TOPICS", (topics.INFO.name, topics.ANALYSIS_SETTINGS.name))
@@ -92,7 +92,7 @@ def test_a_sample_of_an_earlier_version_is_made_anew(tmp_path: Path, monkeypatch
 
 @pytest.mark.ros
 @pytest.mark.pipeline
-def test_of_two_rigs_one_is_chosen(open_page: Callable[..., Page], tmp_path: Path) -> None:
+def test_one_of_two_rigs_is_chosen(open_page: Callable[..., Page], tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client import Processes, isolated_domain
 
@@ -129,7 +129,7 @@ async def shown(address: str, name: str) -> None:
 
 @pytest.mark.ros
 @pytest.mark.pipeline
-def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_ends_it(tmp_path: Path) -> None:
+def test_a_second_lab_is_rejected_and_the_end_of_the_pipe_ends_a_lab(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client import Client, isolated_domain
 
@@ -179,7 +179,7 @@ def test_a_second_lab_is_refused_the_recording_is_named_and_an_end_of_the_pipe_e
             third.communicate()
 
 
-def test_what_makes_no_sense_is_refused(sample: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_invalid_arguments_are_rejected(sample: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["lab", str(tmp_path / "nothing"), "--no-browser"]) == 1
     assert "neither a run directory nor an MCAP file" in capsys.readouterr().err
     assert main(["lab", "a", "b", "c"]) == 1

@@ -36,7 +36,7 @@ from impact_rig_lab.state import DEAD_S, Seen
 pytestmark = pytest.mark.ros
 
 
-def test_the_lab_hears_every_topic_once() -> None:
+def test_the_lab_subscribes_once_to_every_topic() -> None:
     """One list of applied commands is enough: a second one without a reader would grow forever."""
     with isolated_domain() as domain_id, Client(domain_id, "rig", name="observer") as observer:
 
@@ -49,7 +49,9 @@ def test_the_lab_hears_every_topic_once() -> None:
             assert {topic.name: times(topic) for topic in KEPT} == {topic.name: 1 for topic in KEPT}
 
 
-def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rig_of_another_user_counts_as_gone_earlier_than_our_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Another user's rig may have ended unnoticed; our own may be late on a busy machine."""
     with (
         isolated_domain() as domain_id,
@@ -67,7 +69,7 @@ def test_a_rig_of_others_is_sent_nothing_sooner_than_our_own(tmp_path: Path, mon
                 assert bool(why) is bool(said), (why, age_s)
 
 
-def test_a_stop_is_told_as_done_whichever_of_two_rigs_answers_first(tmp_path: Path) -> None:
+def test_a_stop_is_reported_as_done_whichever_of_two_rigs_answers_first(tmp_path: Path) -> None:
     """The rig that waits to be alone may answer first, but the other one stops: the answer is no error."""
     with (
         isolated_domain() as domain_id,

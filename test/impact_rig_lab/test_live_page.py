@@ -144,7 +144,7 @@ def ending(lab: Lab, node: str) -> Iterator[None]:
         lab.processes.stop(node)
 
 
-def test_from_r_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
+def test_the_key_r_leads_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     """Nothing else is changed, and progress is shown until ± 2u appears."""
     word(page, "at rest")
     page.key("r")
@@ -203,7 +203,7 @@ def curve(page: Page, directory: Path) -> None:
     page.wait(f"lab.curve.rows.length >= {count}", "it to come back")
 
 
-def test_numbers_sliders_keys_and_the_papers_values(lab: Lab, page: Page) -> None:
+def test_fields_sliders_keys_and_the_button_of_the_paper_set_values(lab: Lab, page: Page) -> None:
     page.write("#knob-frequency", "9.4")
     lab.applied("frequency", 9.4)
     page.wait("document.querySelectorAll('.pending').length === 0", "the echo")
@@ -223,7 +223,7 @@ def test_numbers_sliders_keys_and_the_papers_values(lab: Lab, page: Page) -> Non
     page.wait("document.getElementById('knob-current').value === '0.3'", "the field to follow")
 
 
-def test_a_refusal_stands_beside_its_knob_in_the_rigs_words(lab: Lab, page: Page) -> None:
+def test_the_error_of_the_rig_is_shown_next_to_the_rejected_control(lab: Lab, page: Page) -> None:
     before = page.js("lab.now.applied.frequency")
     page.write("#knob-frequency", "900")
     page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('got 900')", "the refusal")
@@ -235,7 +235,7 @@ def test_a_refusal_stands_beside_its_knob_in_the_rigs_words(lab: Lab, page: Page
     lab.parameter("rig", "contact.restitution", 0.35)
 
 
-def test_gap_sphere_law_and_restitution(lab: Lab, page: Page) -> None:
+def test_gap_sphere_law_and_restitution_can_be_set(lab: Lab, page: Page) -> None:
     page.click("[data-mark='gap-4']")
     lab.parameter("rig", "barriers.gap_m", 0.004)
     lab.parameter("analysis", "gap_m", 0.004)
@@ -254,7 +254,7 @@ def test_gap_sphere_law_and_restitution(lab: Lab, page: Page) -> None:
     page.wait("document.querySelectorAll('.pending, .refused').length === 0", "every echo")
 
 
-def test_what_is_written_replaces_what_has_come_meanwhile(lab: Lab, page: Page) -> None:
+def test_typed_text_replaces_a_value_received_meanwhile(lab: Lab, page: Page) -> None:
     """If 4 mm arrives while the field has the focus, and 6 is typed, the gap must become 6 mm, not 46 mm."""
     page.js("(() => { const e = document.getElementById('knob-gap'); e.focus(); e.select(); })()")
     lab.client.set_parameters("rig", {"barriers.gap_m": 0.004})
@@ -265,7 +265,7 @@ def test_what_is_written_replaces_what_has_come_meanwhile(lab: Lab, page: Page) 
     lab.parameter("analysis", "gap_m", 0.008)  # set last: what the lab does must be over before the next test
 
 
-def test_stop_latches_and_is_cleared(lab: Lab, page: Page) -> None:
+def test_a_stop_latches_until_it_is_cleared(lab: Lab, page: Page) -> None:
     page.click("#stop")
     word(page, "tripped")
     lab.until(lambda: any(kind == "stop" for kind, _, _ in lab.journal()), "the stop in the journal")
@@ -277,7 +277,7 @@ def test_stop_latches_and_is_cleared(lab: Lab, page: Page) -> None:
     page.wait("document.querySelectorAll('.knob.refused').length === 0", "the refusal to go with its cause")
 
 
-def test_stop_is_above_the_help_sheet(lab: Lab, page: Page) -> None:
+def test_the_stop_button_stays_above_the_help_sheet(lab: Lab, page: Page) -> None:
     for stop in (lambda: page.click("#stop"), lambda: page.key("Escape")):
         page.js("document.activeElement.blur()")
         page.key("?")
@@ -303,7 +303,9 @@ def no_number() -> tuple[str, Any]:
 
 
 @pytest.mark.parametrize("hostile", [no_accelerometer, no_wall, no_number])
-def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Callable[[], tuple[str, Any]]) -> None:
+def test_a_stop_works_despite_invalid_messages_of_others(
+    lab: Lab, page: Page, hostile: Callable[[], tuple[str, Any]]
+) -> None:
     """A bad message costs only that message: it is counted and shown, and a current of zero still takes effect."""
     page.write("#knob-current", "0.2")
     lab.applied("current", 0.2)
@@ -337,7 +339,7 @@ def test_stop_works_whatever_others_publish(lab: Lab, page: Page, hostile: Calla
     word(page, "at rest")
 
 
-def test_a_rival_is_named_while_it_is_there(lab: Lab, page: Page) -> None:
+def test_a_rival_publisher_is_named_while_it_exists(lab: Lab, page: Page) -> None:
     """A rig with a second publisher of its topics must not be shown as "at rest"."""
     word(page, "at rest")
     topic = by_name("truth/impacts")
@@ -351,7 +353,7 @@ def test_a_rival_is_named_while_it_is_there(lab: Lab, page: Page) -> None:
     word(page, "at rest")
 
 
-def test_settings_are_saved_and_put_in_force_again(lab: Lab, page: Page, tmp_path: Path) -> None:
+def test_settings_can_be_saved_and_applied_again(lab: Lab, page: Page, tmp_path: Path) -> None:
     page.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     page.click("[data-mark='gap-8']")
     lab.parameter("rig", "barriers.gap_m", 0.008)
@@ -373,7 +375,7 @@ def test_settings_are_saved_and_put_in_force_again(lab: Lab, page: Page, tmp_pat
         assert words in answer["text"]
 
 
-def test_numbers_in_the_units_of_who_wrote_them(page: Page) -> None:
+def test_an_error_states_the_value_in_the_displayed_unit(page: Page) -> None:
     page.write("#knob-gap", "-1")
     page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('got -1 mm')", "the refusal")
 
@@ -387,7 +389,7 @@ def test_a_clicked_button_is_not_pressed_again_by_space(lab: Lab, page: Page) ->
     word(page, "at rest")
 
 
-def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
+def test_pluck_pause_and_reset_reach_the_rig(lab: Lab, page: Page) -> None:
     judged = lab.source.record.curve.judged
     before = [*judged]
     page.click("#pluck")
@@ -410,7 +412,7 @@ def test_pluck_pause_and_reset(lab: Lab, page: Page) -> None:
     page.wait(f"lab.drawn.epoch > {epoch}", "a new record to be drawn")
 
 
-def test_faults_and_remarks(lab: Lab, page: Page) -> None:
+def test_faults_and_remarks_reach_the_rig(lab: Lab, page: Page) -> None:
     """The laser's error is below its calibration uncertainty: only the truth can show it."""
     page.js("document.getElementById('faulting').open = true")
     page.choose("#fault-kind", "gain_error")
@@ -438,7 +440,7 @@ def test_faults_and_remarks(lab: Lab, page: Page) -> None:
     assert page.js("document.querySelectorAll('#journal-list b, #journal-list img').length") == 0
 
 
-def test_a_recording_is_begun_and_ended(lab: Lab, page: Page) -> None:
+def test_a_recording_can_be_started_and_ended(lab: Lab, page: Page) -> None:
     page.click("#record")
     page.wait("document.getElementById('recording').textContent.includes('run_')", "the name of the run")
     page.click("#record")
@@ -459,7 +461,7 @@ def test_a_recording_is_begun_and_ended(lab: Lab, page: Page) -> None:
     page.wait("document.getElementById('recording').textContent === 'off'", "its end")
 
 
-def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
+def test_scope_spectrum_slow_motion_and_themes_work(page: Page) -> None:
     for span in ("0.05", "10"):
         page.choose("#span", span)
         page.wait(f"Math.abs(lab.scope.span() - {span}) < 0.05 * {span}", f"a window of {span} s")
@@ -494,7 +496,7 @@ def test_scope_spectrum_slow_motion_and_themes(page: Page) -> None:
     page.wait("!document.getElementById('sheet').open", "the sheet to close")
 
 
-def test_a_sweep_grows_the_curve_and_a_point_goes_back(lab: Lab, page: Page) -> None:
+def test_a_sweep_extends_the_curve_and_a_point_can_be_revisited(lab: Lab, page: Page) -> None:
     with ending(lab, "stepped_sine"):
         sweep(lab, page)
 
@@ -536,7 +538,7 @@ def sweep(lab: Lab, page: Page) -> None:
     page.wait("lab.now.sweep.text === 'aborted: stopped by the operator'", "the end of the lock")
 
 
-def test_two_browsers_see_one_rig(lab: Lab, page: Page, open_page: Callable[..., Page]) -> None:
+def test_two_browsers_show_the_same_rig(lab: Lab, page: Page, open_page: Callable[..., Page]) -> None:
     other = open_page(lab.server.address, 400, 800, prefers_color_scheme="dark")
     other.wait("window.lab && lab.drawn.pictures > 2", "traces on the second page")
     assert other.js("document.documentElement.dataset.theme") == "dark"
@@ -546,7 +548,7 @@ def test_two_browsers_see_one_rig(lab: Lab, page: Page, open_page: Callable[...,
     assert {address.split("/")[2] for address in page.fetched + other.fetched} == {f"127.0.0.1:{lab.server.port}"}
 
 
-def test_keyboard_alone(lab: Lab, page: Page) -> None:
+def test_the_page_can_be_used_by_keyboard_alone(lab: Lab, page: Page) -> None:
     """Tab reaches every control that can be used, in the order of the page; keys do everything else."""
     page.key("f")
     assert page.js("document.activeElement.id") == "knob-frequency"
@@ -566,7 +568,7 @@ def test_keyboard_alone(lab: Lab, page: Page) -> None:
     word(page, "at rest")
 
 
-def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> None:
+def test_a_page_that_does_not_draw_receives_no_pictures(lab: Lab, page: Page) -> None:
     """Pictures are dropped rather than queued: none is sent before the last one was drawn."""
     page.js("lab.link.acknowledge = () => undefined")
     page.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -577,7 +579,7 @@ def test_a_page_that_does_not_draw_gets_no_pictures(lab: Lab, page: Page) -> Non
     assert page.js("lab.drawn.pictures") <= count + MOST_UNDRAWN + now_and_then
 
 
-def test_motion_that_nobody_can_follow_is_not_drawn(lab: Lab, page: Page) -> None:
+def test_motion_too_fast_to_follow_is_not_drawn(lab: Lab, page: Page) -> None:
     """It is not received either: at many times real time, this would slow the rig. The scope is drawn now and then."""
     page.wait("lab.motion.states.length > 10", "the motion")
     listeners = lab.client.node.count_subscribers("daq/scan")

@@ -70,7 +70,7 @@ def seek(page: Page, seconds: float) -> None:
     )
 
 
-def test_play_pause_jump_and_step_to_the_next_impact(
+def test_playback_plays_pauses_jumps_and_steps_to_the_next_impact(
     shown: Callable[..., Server], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(shown().address)
@@ -98,7 +98,7 @@ def test_play_pause_jump_and_step_to_the_next_impact(
     page.wait("lab.now.playback.now === lab.now.playback.end && !lab.now.playback.playing", "the end")
 
 
-def test_knobs_are_those_of_the_recording_and_cannot_be_turned(
+def test_controls_show_the_recorded_values_and_are_disabled(
     shown: Callable[..., Server], open_page: Callable[..., Page]
 ) -> None:
     page = open_page(shown().address)
@@ -129,7 +129,7 @@ def from_second(found: Messages, second: float) -> Messages:
     return [(name, table) for name, table in found if name != "daq/scan" or table.stamp_ns >= second * 1e9]
 
 
-def test_every_impact_is_stepped_to_and_the_last_one_ends_it(sample: Path) -> None:
+def test_stepping_reaches_every_impact_and_ends_at_the_last(sample: Path) -> None:
     """An impact less than 50 ms before the end of the run must not be found again and again: later ones follow."""
     with PlaybackSource([sample]) as source:
         run = source._runs[0]
@@ -146,7 +146,7 @@ def test_every_impact_is_stepped_to_and_the_last_one_ends_it(sample: Path) -> No
         assert source._impact_s == impacts[-2]
 
 
-def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
+def test_two_runs_can_be_aligned_by_start_time_or_change_and_have_a_legend(
     shown: Callable[..., Server], open_page: Callable[..., Page], recorded: Messages, tmp_path: Path
 ) -> None:
     """The second run begins five seconds later in rig time: by start both show, by rig time one comes later."""
@@ -171,7 +171,7 @@ def test_two_runs_are_aligned_by_start_time_or_change_and_have_a_legend(
     assert page.js("lab.now.rig.text") == f"first: {driven} late: {driven}"
 
 
-def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: Messages, tmp_path: Path) -> None:
+def test_a_run_recorded_from_mid_session_begins_with_its_first_scan(recorded: Messages, tmp_path: Path) -> None:
     with PlaybackSource([record(tmp_path / "late", from_second(recorded, 6.0))]) as source:
         source.watchers = 1
         assert source.now_s == pytest.approx(6.0, abs=0.05)
@@ -180,7 +180,7 @@ def test_a_run_that_begins_in_mid_session_begins_with_its_first_scan(recorded: M
         wait_until(lambda: (source.snapshot.get("applied") or {}).get("current") == 0.52, "the drive of before")
 
 
-def test_of_a_recording_of_two_rigs_one_is_shown(tmp_path: Path) -> None:
+def test_one_rig_of_a_recording_of_two_is_shown(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "two", provenance=PROVENANCE, clock=time.monotonic)
     with writer:
         for namespace, current in (("left", 0.3), ("right", 0.6)):
@@ -201,9 +201,7 @@ def test_of_a_recording_of_two_rigs_one_is_shown(tmp_path: Path) -> None:
             assert source.snapshot.get("applied")["current"] == current
 
 
-def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
-    recorded: Messages, tmp_path: Path
-) -> None:
+def test_playback_skips_the_time_between_two_runs_of_a_session(recorded: Messages, tmp_path: Path) -> None:
     """The second run begins 21 minutes of rig time after the end of the first: the player must skip this time."""
     first = [(name, table) for name, table in recorded if table.stamp_ns < 3e9]
     runs = [record(tmp_path / "first", first), record(tmp_path / "late", from_second(recorded, 8.0))]
@@ -218,7 +216,7 @@ def test_of_two_runs_of_a_session_nothing_is_played_of_what_lies_between_them(
         assert source.other.end_s == pytest.approx(9.0, abs=0.02), "the second after its first second"
 
 
-def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages, tmp_path: Path) -> None:
+def test_a_recorded_value_is_current_only_until_something_changes(recorded: Messages, tmp_path: Path) -> None:
     """At rest, while settling, and after the latch, the last value is not the present one."""
     rows = [table for name, table in recorded if name == "transmissibility/table"]
     measured_s = rows[0].stamp_ns / 1e9
@@ -235,7 +233,7 @@ def test_a_recorded_value_holds_only_until_something_changes(recorded: Messages,
         assert source.snapshot.get("faults") == []
 
 
-def test_of_a_long_run_the_beginning_is_shown_as_well(recorded: Messages, tmp_path: Path) -> None:
+def test_the_beginning_of_a_long_run_is_shown_as_well(recorded: Messages, tmp_path: Path) -> None:
     """Not only the last 400 rows, 300 faults and lines are kept: earlier measurements must be shown as well."""
     measured = next(table for name, table in recorded if name == "transmissibility/table")
     with PlaybackSource([record(tmp_path / "run", recorded)]) as source:
@@ -260,7 +258,7 @@ def test_of_a_long_run_the_beginning_is_shown_as_well(recorded: Messages, tmp_pa
         assert len(run.rows(5000.0)) == 400
 
 
-def test_a_recorded_value_does_not_hold_over_a_fault(recorded: Messages, tmp_path: Path) -> None:
+def test_a_recorded_value_is_not_current_during_a_fault(recorded: Messages, tmp_path: Path) -> None:
     measured_ns = next(table.stamp_ns for name, table in recorded if name == "transmissibility/table")
     row = np.zeros(1, topics.FAULTS.columns)
     row["id"], row["active"], row["kind"], row["channel"] = 1, 1, b"dropout", b"laser"
@@ -278,7 +276,7 @@ def test_a_recorded_value_does_not_hold_over_a_fault(recorded: Messages, tmp_pat
             assert source.snapshot.get("dt_now")["holds"] is holds, source.snapshot.get("faults")
 
 
-def test_blocks_that_are_missing_are_counted(recorded: Messages, tmp_path: Path) -> None:
+def test_missing_blocks_are_counted(recorded: Messages, tmp_path: Path) -> None:
     missing = [one for one in recorded if not (one[0] == "daq/scan" and 3e9 <= one[1].stamp_ns < 4e9)]
     with PlaybackSource([record(tmp_path / "run", missing)]) as source:
         wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
@@ -288,7 +286,7 @@ def test_blocks_that_are_missing_are_counted(recorded: Messages, tmp_path: Path)
 
 
 @pytest.mark.parametrize("rate", [math.nan, 0.0, math.inf, 1e12])
-def test_a_rate_that_no_board_has_is_one_line(recorded: Messages, tmp_path: Path, rate: float) -> None:
+def test_an_impossible_rate_is_reported_in_one_line(recorded: Messages, tmp_path: Path, rate: float) -> None:
     def change(rows: np.ndarray) -> np.ndarray:
         rows["rate"] = rate
         return rows
@@ -318,7 +316,7 @@ def without(column: str) -> Callable[[np.ndarray], np.ndarray]:
         ("shaker/applied", "current"),
     ],
 )  # fmt: skip
-def test_tables_without_a_column_cost_themselves_alone(
+def test_tables_without_a_column_do_not_affect_other_topics(
     recorded: Messages, tmp_path: Path, topic: str, column: str
 ) -> None:
     """Every table of one topic is broken after the third second; the other topics are played to the end."""
@@ -336,7 +334,7 @@ def test_tables_without_a_column_cost_themselves_alone(
         wait_until(lambda: source.now_s == pytest.approx(12.0, abs=0.05), "the end")
 
 
-def test_runs_without_rows_are_refused_in_one_line(recorded: Messages, tmp_path: Path) -> None:
+def test_runs_without_rows_are_rejected_in_one_line(recorded: Messages, tmp_path: Path) -> None:
     none = edited(recorded, "daq/info", lambda rows: rows[:0])
     with pytest.raises(RecordingError, match="rate"):
         PlaybackSource([record(tmp_path / "info", none)])
@@ -345,7 +343,7 @@ def test_runs_without_rows_are_refused_in_one_line(recorded: Messages, tmp_path:
         wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
 
 
-def test_a_run_that_was_cut_short(
+def test_a_truncated_run_is_played(
     shown: Callable[..., Server], open_page: Callable[..., Page], sample: Path, tmp_path: Path
 ) -> None:
     broken = tmp_path / "broken"
@@ -358,12 +356,12 @@ def test_a_run_that_was_cut_short(
     assert 5.0 < page.js("lab.now.playback.end") < 20.0
 
 
-def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_run_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(RecordingError):
         PlaybackSource([tmp_path / "nothing"])
 
 
-def test_the_page_comes_back_after_the_server_and_keeps_what_it_had(
+def test_the_page_reconnects_to_a_restarted_server_and_keeps_its_measurements(
     shown: Callable[..., Server], open_page: Callable[..., Page], sample: Path
 ) -> None:
     server = shown()
@@ -382,7 +380,7 @@ def test_the_page_comes_back_after_the_server_and_keeps_what_it_had(
         wait_until(lambda: page.text("#word") == "playback", "the word")
 
 
-def test_the_scope_of_a_rig_driven_by_samples_shows_the_current_it_was_told(
+def test_the_scope_of_a_rig_driven_by_samples_shows_the_commanded_current(
     shown: Callable[..., Server], open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
     np.savez(tmp_path / "wave.npz", drive=0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000), fs=1_000.0)

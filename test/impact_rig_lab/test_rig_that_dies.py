@@ -50,7 +50,9 @@ def word(page: Page, expected: str) -> None:
     page.wait(f"document.getElementById('word').textContent === '{expected}'", f"the word {expected}")
 
 
-def test_what_dies_is_grey_and_comes_back(graph: tuple[Processes, str], open_page: Callable[..., Page]) -> None:
+def test_a_node_that_ends_is_greyed_out_until_it_returns(
+    graph: tuple[Processes, str], open_page: Callable[..., Page]
+) -> None:
     processes, address = graph
     page = open_page(address)
     page.wait("window.lab && lab.now.rig?.word === 'at rest' && lab.drawn.pictures > 2", "a rig at rest")

@@ -34,7 +34,7 @@ def filled(seconds: float, **columns: object) -> Scope:
 
 
 @given(st.floats(0.05, LONGEST_S), st.integers(16, 2000), st.integers(0, 1999))
-def test_a_pulse_of_one_scan_is_seen_at_every_zoom(span: float, columns: int, place: int) -> None:
+def test_a_pulse_of_one_scan_is_visible_at_every_zoom(span: float, columns: int, place: int) -> None:
     values = np.zeros(12_000)
     at = 11_999 - place
     values[at] = 7.0
@@ -63,7 +63,7 @@ def test_long_windows_agree_with_short_ones() -> None:
     np.testing.assert_array_equal(trace.low[2][whole], cut.min(axis=1)[whole])
 
 
-def test_what_never_came_is_a_gap() -> None:
+def test_missing_scans_are_drawn_as_a_gap() -> None:
     scope = Scope(RATE)
     scope.add(scans(0, 500, laser=1.0), 0)
     scope.add(scans(700, 300, laser=2.0), 0)
@@ -80,7 +80,7 @@ BLOCKS = st.lists(st.tuples(st.integers(0, 30_000), st.integers(1_000, 40_000)),
 
 @given(BLOCKS, st.floats(0.05, LONGEST_S), st.integers(16, 2000), st.integers(0, 99), st.booleans())
 @pytest.mark.repeats
-def test_every_column_shows_what_came_and_nothing_older(
+def test_every_column_shows_only_the_latest_scans(
     blocks: list[tuple[int, int]], span: float, columns: int, seed: int, watched: bool
 ) -> None:
     """Scans arrive in blocks with gaps before them, more than once around the ring; they are noise, some over range."""
@@ -108,7 +108,7 @@ def test_every_column_shows_what_came_and_nothing_older(
             assert trace.status[column] == np.bitwise_or.reduce(status[first : first + step])
 
 
-def test_over_range_is_kept_by_column() -> None:
+def test_over_range_is_marked_column_by_column() -> None:
     status = np.zeros(1000, np.uint8)
     status[503] = 2
     scope = filled(1.0, status=status)
@@ -118,7 +118,7 @@ def test_over_range_is_kept_by_column() -> None:
     assert trace.status[50] == 2
 
 
-def test_the_window_begins_where_the_current_passes_zero_upwards() -> None:
+def test_the_window_begins_at_an_upward_zero_crossing_of_the_current() -> None:
     time = np.arange(5000) / RATE
     noise = np.random.default_rng(2).normal(scale=2e-3, size=5000)
     scope = filled(5.0, current=0.5 * np.sin(2 * np.pi * 9.1 * time) + noise)
@@ -132,7 +132,7 @@ def test_the_window_begins_where_the_current_passes_zero_upwards() -> None:
     assert np.isnan(still.trigger_s)
 
 
-def test_a_jump_back_begins_anew() -> None:
+def test_a_jump_back_in_time_clears_the_scope() -> None:
     scope = filled(3.0, laser=np.ones(3000))
     scope.add(scans(100, 50, laser=2.0), 0)
     assert (scope.begin, scope.end) == (100, 150)

@@ -78,14 +78,14 @@ def refused_status(server: Server, **changes: Any) -> int:
     return loops.run(ask())
 
 
-def test_it_listens_on_the_loopback_only(server: Server) -> None:
+def test_the_server_listens_only_on_the_loopback(server: Server) -> None:
     assert server._host == LOOPBACK
     with socket.socket() as other:
         other.settimeout(2.0)
         assert other.connect_ex(("127.0.0.2", server.port)) != 0
 
 
-def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) -> None:
+def test_the_page_needs_the_token_and_has_a_strict_policy(server: Server) -> None:
     status, headers, text = get(server, f"/?token={server.token}")
     assert status == 200
     assert "<!doctype html>" in text
@@ -106,7 +106,7 @@ def test_the_page_needs_the_token_and_carries_a_strict_policy(server: Server) ->
         ("GET /socket?token={token}", None, 400),  # asks for no WebSocket
     ],
 )
-def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str, host: str | None, status: int) -> None:
+def test_rejected_connections_are_closed(server: Server, request_line: str, host: str | None, status: int) -> None:
     """If refused connections stayed open for a minute, sixty-four of them from any client would block every page."""
     here = f"{LOOPBACK}:{server.port}"
     lines = [f"{request_line.format(token=server.token)} HTTP/1.1", f"Host: {host or here}"]
@@ -118,7 +118,7 @@ def test_whoever_is_refused_is_not_held_on_to(server: Server, request_line: str,
     assert POLICY.encode() in answer
 
 
-def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
+def test_only_files_of_the_package_are_served(server: Server) -> None:
     assert get(server, "/static/main.js")[0] == 200
     assert get(server, "/uplot/uPlot.iife.js")[0] == 200
     for path in (
@@ -131,7 +131,7 @@ def test_files_are_those_of_the_package_and_no_others(server: Server) -> None:
         assert get(server, path)[0] == 404, path
 
 
-def test_another_name_and_another_page_are_refused(server: Server) -> None:
+def test_a_foreign_host_name_or_origin_is_rejected(server: Server) -> None:
     """A foreign page, and a foreign name that resolves to this machine (DNS rebinding)."""
     path = f"/?token={server.token}"
     assert get(server, path, Host="evil.example")[0] == 403
@@ -143,7 +143,7 @@ def test_another_name_and_another_page_are_refused(server: Server) -> None:
     assert dict(server.refused) == {"host": 1, "origin": 4, "token": 2}
 
 
-def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Server, source: FakeSource) -> None:
+def test_invalid_requests_are_rejected_and_counted_and_end_the_connection(server: Server, source: FakeSource) -> None:
     async def talk() -> tuple[list[str], int | None]:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
             page = await connect(session, server)
@@ -168,7 +168,7 @@ def test_hostile_requests_are_refused_counted_and_end_the_connection(server: Ser
     assert server.refused["binary"] == 1
 
 
-def test_who_talks_nonsense_without_end_is_cut_off(server: Server) -> None:
+def test_a_client_that_keeps_sending_invalid_messages_is_disconnected(server: Server) -> None:
     async def talk() -> int | None:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
             page = await connect(session, server)
@@ -181,7 +181,7 @@ def test_who_talks_nonsense_without_end_is_cut_off(server: Server) -> None:
     assert loops.run(talk()) == 1008
 
 
-def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server, source: FakeSource) -> None:
+def test_a_stalled_page_receives_two_pictures_and_an_active_one_all(server: Server, source: FakeSource) -> None:
     """The third picture waits until the first is drawn; the state, which is small, is still sent."""
 
     async def talk() -> tuple[int, int]:
@@ -210,7 +210,7 @@ def test_a_stalled_page_gets_two_pictures_and_another_all_of_them(server: Server
     assert pictures == MOST_UNDRAWN
 
 
-def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSource) -> None:
+def test_the_current_state_is_sent_before_the_answer(server: Server, source: FakeSource) -> None:
     """A page that takes the answer as the end of its wait must not receive an old value after it."""
 
     def ask(request: protocol.Request, answer: Any) -> None:
@@ -233,7 +233,7 @@ def test_what_is_in_force_comes_before_the_answer(server: Server, source: FakeSo
     assert loops.run(talk()) == [FrameKind.STATE, FrameKind.REPLY]
 
 
-def test_pages_are_counted(server: Server, source: FakeSource) -> None:
+def test_open_pages_are_counted(server: Server, source: FakeSource) -> None:
     async def talk() -> None:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
             page = await connect(session, server)
@@ -254,7 +254,7 @@ def talk_to(server: Server, data: bytes) -> bytes:
     return found
 
 
-def test_a_request_that_never_ends_is_closed_and_none_prints_anything(
+def test_an_endless_request_is_closed_and_no_request_prints_output(
     server: Server, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("impact_rig_lab.server.HEADERS_S", 0.2)
@@ -266,7 +266,7 @@ def test_a_request_that_never_ends_is_closed_and_none_prints_anything(
     assert capfd.readouterr() == ("", "")
 
 
-def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on(server: Server) -> None:
+def test_connections_beyond_the_limit_are_rejected_and_the_page_continues(server: Server) -> None:
     """Each connection needs a descriptor: without a limit, a process without any left could not accept its operator."""
 
     async def talk() -> list[bytes]:
@@ -293,7 +293,7 @@ def test_more_connections_than_there_may_be_are_turned_away_and_the_page_goes_on
     assert server.refused["too many connections"] >= 20
 
 
-def test_a_knob_without_a_told_value_shows_none(
+def test_a_control_without_a_reported_value_shows_none(
     server: Server, source: FakeSource, open_page: Callable[..., Page]
 ) -> None:
     """A slider always has a position: the middle by default, or the value of the previous rig."""
@@ -307,7 +307,7 @@ def test_a_knob_without_a_told_value_shows_none(
     page.wait(f"{seen} === ',hidden'", "no gap of another rig")
 
 
-def test_a_lab_that_is_started_anew_begins_a_new_record(open_page: Callable[..., Page]) -> None:
+def test_a_restarted_lab_begins_a_new_record(open_page: Callable[..., Page]) -> None:
     """The new lab's first record has the number of the old one, but impacts of the old rig must not stay."""
 
     def found(second: int) -> FakeSource:
@@ -329,7 +329,7 @@ def test_a_lab_that_is_started_anew_begins_a_new_record(open_page: Callable[...,
         page.js("lab.link.socket.onclose = null")
 
 
-def test_runs_are_listed_and_played_beside_what_the_lab_shows(
+def test_runs_are_listed_and_played_next_to_the_live_view(
     source: FakeSource, sample: Path, open_page: Callable[..., Page]
 ) -> None:
     (sample.parent / "no_run").mkdir(exist_ok=True)
@@ -358,7 +358,7 @@ def test_runs_are_listed_and_played_beside_what_the_lab_shows(
         assert refused_status(server, token=f"{server.token}&run=no_run") == 404
 
 
-def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSource, tmp_path: Path) -> None:
+def test_an_unreadable_run_does_not_hide_the_others(source: FakeSource, tmp_path: Path) -> None:
     """A dangling link, or a run that is being removed, must not prevent the list of the other runs."""
     for name in ("gone", "whole"):
         (tmp_path / name).mkdir()
@@ -370,14 +370,14 @@ def test_a_run_that_cannot_be_looked_at_does_not_hide_the_others(source: FakeSou
     assert json.loads(text) == [{"name": "whole", "megabytes": 0.2}]
 
 
-def test_the_address_of_an_ipv6_lab_is_one(source: FakeSource) -> None:
+def test_the_address_of_an_ipv6_lab_is_valid(source: FakeSource) -> None:
     """Without brackets around it, no browser could open the address."""
     with Server(source, "::1", 0) as server:
         assert server.address.startswith(f"http://[::1]:{server.port}/?token=")
 
 
 @pytest.mark.parametrize("host", [LOOPBACK, "localhost", "127.0.0.2", "::1"])
-def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: str) -> None:
+def test_a_lab_on_this_machine_accepts_no_other_host_name(source: FakeSource, host: str) -> None:
     """If other names were not checked, a foreign page could let its own name resolve to `localhost`."""
     with Server(source, host, 0) as server:
         own = server.address.removeprefix("http://").partition("/")[0]
@@ -389,7 +389,7 @@ def test_no_other_name_leads_to_a_lab_of_this_machine(source: FakeSource, host: 
             assert answer.startswith(f"HTTP/1.1 {status} ".encode()), (name, answer[:100])
 
 
-def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) -> None:
+def test_a_host_name_without_a_port_is_accepted_at_port_80(source: FakeSource) -> None:
     """A browser leaves port 80 out of the name; the page must not be refused because of this."""
     server = Server(source)
     server.port = 80
@@ -399,17 +399,17 @@ def test_at_the_port_of_http_a_page_is_asked_for_without_it(source: FakeSource) 
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 99999])
-def test_a_port_that_there_is_not_is_refused(source: FakeSource, port: int) -> None:
+def test_an_invalid_port_is_rejected(source: FakeSource, port: int) -> None:
     with pytest.raises(ImpactRigError, match=f"a port must be 0 \\(any\\) to 65535, got {port}"):
         Server(source, port=port)
 
 
-def test_a_port_that_is_taken_is_named(server: Server, source: FakeSource) -> None:
+def test_a_port_in_use_is_named(server: Server, source: FakeSource) -> None:
     with pytest.raises(ImpactRigError, match=f"cannot serve {LOOPBACK}:{server.port}"):
         Server(source, port=server.port).start()
 
 
-def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_this_user_can_read_the_stored_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     token = kept_token()
     path = tmp_path / "impact_rig" / "lab_token"
@@ -419,7 +419,7 @@ def test_the_token_is_kept_for_this_user_alone(tmp_path: Path, monkeypatch: pyte
     assert kept_token() != token, "one that others could read is not used again"
 
 
-def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Path) -> None:
+def test_a_player_ends_with_the_connection_that_requested_it(source: FakeSource, sample: Path) -> None:
     """The player also ends after a request that is not for a WebSocket, with its thread and files."""
     before = set(threading.enumerate())
     with Server(source, port=0, runs=sample.parent) as server:
@@ -431,7 +431,9 @@ def test_a_player_ends_with_whoever_asked_for_it(source: FakeSource, sample: Pat
         assert server._pages == 0
 
 
-def test_pages_that_still_open_count(source: FakeSource, sample: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_that_are_still_opening_count_towards_the_limit(
+    source: FakeSource, sample: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Pages count while their players search for runs; otherwise, any number of pages could open."""
     release, players = threading.Event(), []
 

@@ -59,7 +59,7 @@ def readings(gap_m: float, frequency_hz: float) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(rows[name]).tobytes() for name in names)).hexdigest()
 
 
-def test_the_page_from_disk_gives_the_readings_of_the_rig(page_file: Path, browser: Browser) -> None:
+def test_the_page_opened_from_disk_yields_the_readings_of_the_rig(page_file: Path, browser: Browser) -> None:
     page = browser.page()
     page.goto(page_file.as_uri())
     page.wait("document.getElementById('word').textContent === 'running'", "the rig to run")
@@ -77,7 +77,7 @@ def test_the_page_from_disk_gives_the_readings_of_the_rig(page_file: Path, brows
     assert all(url.startswith(("file:", "data:", "blob:")) for url in page.fetched)
 
 
-def test_the_page_can_be_used_by_everybody(page_file: Path, browser: Browser) -> None:
+def test_the_page_has_no_accessibility_faults(page_file: Path, browser: Browser) -> None:
     page = browser.page(400, 900, prefers_color_scheme="dark")
     page.goto(page_file.as_uri())
     page.wait("lab.now.scans > 0", "the rig to run")
@@ -87,7 +87,7 @@ def test_the_page_can_be_used_by_everybody(page_file: Path, browser: Browser) ->
     page.wait("document.getElementById('answer').textContent === 'a value is out of range'", "the answer")
 
 
-def test_the_page_follows_its_window_and_the_preferred_colours_while_it_runs(page_file: Path, browser: Browser) -> None:
+def test_the_page_follows_window_size_and_colour_preference_while_it_runs(page_file: Path, browser: Browser) -> None:
     """The scope kept its first width, so a narrowed page scrolled sideways; colours were chosen once, at the start."""
     page = browser.page(1440, 900)
     page.goto(page_file.as_uri())
@@ -100,7 +100,7 @@ def test_the_page_follows_its_window_and_the_preferred_colours_while_it_runs(pag
     page.wait("document.documentElement.dataset.theme === 'dark'", "the dark colours")
 
 
-def test_no_view_reaches_out_of_its_panel(page_file: Path, browser: Browser) -> None:
+def test_every_view_fits_its_panel(page_file: Path, browser: Browser) -> None:
     """The scope must not cover the spectrum, nor may the frequencies below it be cut off, at any width of the page."""
     page = browser.page(1440, 900)
     page.goto(page_file.as_uri())

@@ -86,7 +86,7 @@ MEASURING = seen("analysis", "measuring")
         (seen("rig", "driving"), MEASURING, (), "measured", "applies"),
     ],
 )
-def test_the_word_follows_from_keys_and_the_gravest_comes_first(
+def test_the_state_follows_from_the_figures_and_the_gravest_is_shown_first(
     rig: Seen, analysis: Seen, doubts: tuple[str, ...], word: str, words: str
 ) -> None:
     found = judge(rig, analysis, doubts)
@@ -95,7 +95,7 @@ def test_the_word_follows_from_keys_and_the_gravest_comes_first(
     assert present(rig, analysis, doubts)["holds"] is (word in ("measured", "paused")), "the value is grey otherwise"
 
 
-def test_progress_is_that_of_an_analysis_that_lives() -> None:
+def test_progress_is_shown_only_for_a_running_analysis() -> None:
     """One that was killed while it settled was shown at window 15 of 15 for ever."""
     figures = {"state": "settling", "settling_windows": "15", "settling_windows_needed": "15"}
     for age_s, ended, state in ((0.1, "", "settling"), (9.0, "", ""), (0.1, "its process ended with code -9", "")):
@@ -105,7 +105,7 @@ def test_progress_is_that_of_an_analysis_that_lives() -> None:
         assert judge(seen("rig", "driving"), analysis)[0] == (state or "driving")
 
 
-def test_a_sphere_that_is_waited_for_is_the_reason() -> None:
+def test_a_wait_for_the_sphere_is_shown_as_the_reason() -> None:
     """It was called a transient of 0.0 % for two minutes."""
     why = "waiting up to 60 s for a sphere that may still strike"
     figures = {"state": "settling", "reason": why, "no_impact_s": "12.5", "no_impact_limit_s": "60.0"}
@@ -115,7 +115,7 @@ def test_a_sphere_that_is_waited_for_is_the_reason() -> None:
     assert (found["reason"], found["quiet"], found["quiet_of"]) == (why, 12.5, 60.0)
 
 
-def test_the_form_of_a_fault_asks_for_what_its_kind_uses() -> None:
+def test_the_form_of_a_fault_has_the_fields_of_its_kind() -> None:
     """One default, 0.001, stood for all kinds, without a unit, and a rate for faults that have none."""
     forms = choices()["faults"]
     assert set(forms) == set(FAULT_KINDS)
@@ -131,14 +131,14 @@ def test_the_form_of_a_fault_asks_for_what_its_kind_uses() -> None:
     assert forms["saturation"]["sizes"]["laser"] == {"name": "limit ±", "unit": "mm", "scale": 1e-3, "default": 1.0}
 
 
-def test_every_state_of_a_rig_and_an_analysis_has_words() -> None:
+def test_every_state_of_a_rig_and_an_analysis_has_a_text() -> None:
     for one in states.RigWord:
         assert judge(seen("rig", one), MEASURING)[1]
     for other in states.AnalysisWord:
         assert judge(seen("rig", "driving"), seen("analysis", other, "over_range"))[1].endswith(".")
 
 
-def test_channels_are_well_only_where_a_row_says_so() -> None:
+def test_a_channel_is_shown_as_valid_only_if_a_row_confirms_it() -> None:
     """The status of a row and the channel it is about; of a sound row the channel only contributes most."""
     curve = Curve()
     assert curve.health() is None
@@ -159,7 +159,7 @@ def test_channels_are_well_only_where_a_row_says_so() -> None:
     assert [row["t"] for row in curve.part(0)] == [1.0, 3.0, 4.0, 5.0], "what was not measured is no point of the curve"
 
 
-def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> None:
+def test_channels_are_judged_only_while_the_measured_drive_is_active() -> None:
     """A bug once: after a pluck of a rig at rest the page said "laser: spikes", and after the reset it still did."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     applied = np.zeros(1, topics.APPLIED.columns)
@@ -181,7 +181,7 @@ def test_channels_are_judged_while_the_drive_that_was_measured_is_in_force() -> 
     assert record.health(11 * 10**9) is None
 
 
-def test_what_a_rig_before_applied_is_not_in_force() -> None:
+def test_a_command_of_the_previous_rig_is_not_current() -> None:
     """A page once showed the current of a dead rig for seconds over the rig that came after it."""
     record, applied, info = RigView(), np.zeros(1, topics.APPLIED.columns), np.zeros(4, topics.INFO.columns)
     applied["frequency"], applied["current"], info["rate"] = 9.1, 1.2, 10_000.0
@@ -204,7 +204,7 @@ def test_what_a_rig_before_applied_is_not_in_force() -> None:
     assert record.drive == {"frequency": 9.1, "current": 0.0}
 
 
-def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_began_after_that() -> None:
+def test_a_measurement_is_current_until_a_change_and_from_the_first_row_after_it() -> None:
     """A fault is shown as a fault, not as a change; a row with scans from before and after is not current."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
@@ -228,7 +228,7 @@ def test_a_measurement_holds_until_the_rig_is_changed_and_again_from_a_row_that_
     assert record.doubts(7 * 10**9) == []
 
 
-def test_the_speed_is_that_of_one_rig() -> None:
+def test_the_speed_is_computed_from_the_times_of_one_rig() -> None:
     """The times of two rigs in one namespace, or of one that was restarted, are unrelated."""
     now = [0.0]
     pace = Pace(lambda: now[0])
@@ -240,7 +240,7 @@ def test_the_speed_is_that_of_one_rig() -> None:
         assert pace.read(rig_s, instance) == speed
 
 
-def test_every_word_that_is_shown_has_help() -> None:
+def test_every_displayed_term_has_a_help_text() -> None:
     help_ = glossary()
     words = {plain(one) for table in (*states.BY_NODE.values(), Status, Regime) for one in table}
     words |= {plain(name) for name in (*LAWS, *FAULT_KINDS)}
@@ -252,7 +252,7 @@ def test_every_word_that_is_shown_has_help() -> None:
     assert all(text.endswith((".", ").")) for text in help_.values())
 
 
-def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> None:
+def test_a_measurement_taken_during_a_fault_is_not_current_after_it() -> None:
     """After a gain error is cleared, the page must not say that the measurement applies: its value is wrong."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
@@ -267,7 +267,7 @@ def test_a_fault_that_has_ended_speaks_against_what_was_measured_under_it() -> N
     assert record.doubts(6 * 10**9) == ["gain error base (0.05) was active during the measurement (truth)"]
 
 
-def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -> None:
+def test_a_measurement_with_another_gap_than_the_rig_is_not_current() -> None:
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"] = b"ok", 10.0, 40.0
     for label_m, doubts in ((0.006, 0), (math.nan, 0), (0.003, 1), (0.0, 1)):
@@ -277,7 +277,7 @@ def test_a_label_that_is_not_the_gap_of_the_rig_speaks_against_a_measurement() -
     assert record.doubts() == ["its label says a gap of 0 mm, the rig has 6 mm"]
 
 
-def test_a_fault_of_before_a_reset_is_not_in_force_in_playback() -> None:
+def test_a_fault_before_a_reset_is_not_active_in_playback() -> None:
     record, fault = RigView(None), np.zeros(1, topics.FAULTS.columns)
     fault["kind"], fault["channel"], fault["active"] = b"stuck", b"laser", 1
     record.take(topics.FAULTS, encode(Table(3 * 10**9, fault)))
@@ -288,7 +288,7 @@ def test_a_fault_of_before_a_reset_is_not_in_force_in_playback() -> None:
     assert [len(one) for one in found] == [0, 1, 0]
 
 
-def test_faults_are_in_force_from_begin_to_end_and_not_after_a_new_start() -> None:
+def test_faults_are_active_from_begin_to_end_and_not_after_a_restart() -> None:
     faults, rows = Faults(), np.zeros(1, topics.FAULTS.columns)
     rows["id"], rows["kind"], rows["channel"], rows["active"], rows["value"] = 1, b"gain_error", b"laser", 1, 0.05
     faults.add(Table(2 * 10**9, rows))
@@ -311,9 +311,7 @@ def test_faults_are_in_force_from_begin_to_end_and_not_after_a_new_start() -> No
         (b"dropout", b"base", 1e-4, "dropout base"),
     ],
 )
-def test_a_fault_in_force_has_the_unit_that_its_form_shows(
-    kind: bytes, channel: bytes, value: float, words: str
-) -> None:
+def test_an_active_fault_has_the_unit_of_its_form(kind: bytes, channel: bytes, value: float, words: str) -> None:
     faults, rows = Faults(), np.zeros(1, topics.FAULTS.columns)
     rows["kind"], rows["channel"], rows["active"], rows["value"] = kind, channel, 1, value
     faults.add(Table(10**9, rows))
@@ -321,7 +319,7 @@ def test_a_fault_in_force_has_the_unit_that_its_form_shows(
 
 
 @pytest.mark.parametrize("rate", [math.nan, 0.0, math.inf, 1e12, -1.0])
-def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) -> None:
+def test_an_impossible_rate_is_rejected_before_buffers_are_allocated(rate: float) -> None:
     info = np.zeros(1, topics.INFO.columns)
     info["rate"] = rate
     with pytest.raises(RecordingError, match="a rate of"):
@@ -330,7 +328,7 @@ def test_a_rate_that_no_board_has_is_refused_before_rings_are_made(rate: float) 
         scan_rate(Table(0, info[:0]))
 
 
-def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
+def test_every_parameter_of_a_change_is_in_the_journal() -> None:
     """A gap that is set together with the sphere is the second value of one change."""
     rig = Rig(RigConfig())
     journal = RigHistory()
@@ -358,12 +356,12 @@ def test_every_parameter_of_a_change_stands_in_the_journal() -> None:
         ("x" * 70000, "at most 65536"),
     ],
 )  # fmt: skip
-def test_requests_without_sense_are_refused(raw: str, words: str) -> None:
+def test_invalid_requests_are_rejected(raw: str, words: str) -> None:
     with pytest.raises(RequestError, match=words):
         parse(raw)
 
 
-def test_a_request_and_a_frame() -> None:
+def test_requests_are_parsed_and_frames_are_valid_json() -> None:
     held = '{"id":3,"do":"sweep","frequencies":[9,9.1],"direction":"up","hold":"base","target":6e-5}'
     assert parse(held).values["frequencies"] == (9.0, 9.1)
     frame = json_frame(FrameKind.STATE, 7, {"a": float("nan"), "b": [float("inf"), 1.0], "c": {"d": None}})
@@ -401,7 +399,7 @@ def test_joint_states_of_ros_are_read_from_their_bytes() -> None:
     assert again.header.stamp.nanosec == 5
 
 
-def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
+def test_each_reader_of_a_ring_gets_the_rows_that_are_new_to_it() -> None:
     motion = MotionBuffer()
     for number in range(5000):
         motion.states.add((float(number), *([0.0] * 6)))
@@ -409,7 +407,7 @@ def test_readers_of_a_ring_get_what_is_new_to_them() -> None:
     assert len(motion.states.since(0, 10_000)) == 4096
 
 
-def test_journal_curve_and_closed_form() -> None:
+def test_journal_and_curve_follow_the_messages_and_the_closed_form() -> None:
     journal, curve = RigHistory(), Curve()
     for topic, table in messages(12):
         if topic == "rig/journal":
@@ -430,7 +428,7 @@ def test_journal_curve_and_closed_form() -> None:
     assert closed_form({}) == []
 
 
-def test_a_snapshot_tells_each_reader_what_is_new() -> None:
+def test_a_snapshot_contains_what_is_new_to_its_reader() -> None:
     snapshot: Any = Snapshot()
     snapshot.put(a=1)
     version, found = snapshot.since(0)
@@ -463,13 +461,13 @@ def test_the_speed_is_that_between_two_readings(clock: HandClock, factor: float)
     assert pace.is_followed == (factor <= FOLLOWED)
 
 
-def test_one_reading_says_nothing(clock: HandClock) -> None:
+def test_one_reading_yields_no_speed(clock: HandClock) -> None:
     pace = Pace(clock)
     assert pace.read(7.0) == 0.0
     assert pace.is_followed
 
 
-def test_of_a_rig_that_says_that_it_stands_no_speed_is_shown(clock: HandClock) -> None:
+def test_no_speed_is_shown_of_a_rig_that_reports_a_pause(clock: HandClock) -> None:
     pace = Pace(clock)
     pace.read(1.0)
     clock.now_s += 1.0
@@ -478,7 +476,7 @@ def test_of_a_rig_that_says_that_it_stands_no_speed_is_shown(clock: HandClock) -
     assert (pace.read(3.5, stands=True), pace.is_hurried) == (0.0, False)
 
 
-def test_time_that_stands_has_no_speed_after_a_while(clock: HandClock) -> None:
+def test_no_speed_is_shown_after_rig_time_has_stopped_for_a_while(clock: HandClock) -> None:
     pace = Pace(clock)
     speed(clock, pace, 2.0)
     clock.now_s += STALE_S
@@ -487,7 +485,7 @@ def test_time_that_stands_has_no_speed_after_a_while(clock: HandClock) -> None:
     assert pace.read(51.0) == 0.0
 
 
-def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: HandClock) -> None:
+def test_a_reset_or_a_long_silence_yields_no_speed(clock: HandClock) -> None:
     pace = Pace(clock)
     speed(clock, pace, 2.0)
     clock.now_s += 0.5
@@ -496,7 +494,7 @@ def test_a_reset_or_a_long_silence_gives_no_speed_of_its_own(clock: HandClock) -
     assert pace.read(1000.0) == pytest.approx(2.0)
 
 
-def test_a_drive_that_was_heard_before_a_rig_began_is_not_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_received_before_a_rig_started_is_not_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rig at twice our speed stamps a minute ahead after a minute; the stamps of the next rig begin before that."""
     now_s = [100.0]
     monkeypatch.setattr("impact_rig_lab.record.time.monotonic", lambda: now_s[0])

@@ -44,7 +44,7 @@ def of(gap_mm: float, amplitude: float = CURRENT_A, **changed: object) -> dict[s
     return predicted({**DEFAULT, "barriers.gap_m": gap_mm * 1e-3, **names}, amplitude)
 
 
-def test_a_line_is_the_prediction_of_these_knobs() -> None:
+def test_the_line_is_the_prediction_for_the_present_settings() -> None:
     found = of(20.0)
     assert [lasts for lasts, _ in found["lines"]] == [True]
     f, dt = np.array(found["lines"][0][1]).T
@@ -56,7 +56,7 @@ def test_a_line_is_the_prediction_of_these_knobs() -> None:
     assert other != found["lines"]
 
 
-def test_a_measured_motion_that_is_not_the_predicted_one_is_told() -> None:
+def test_a_measured_motion_other_than_the_predicted_one_is_reported() -> None:
     """At 6 mm, the rig has four impacts per cycle; the prediction is for two."""
     found = of(6.0)
     assert contradiction(found, 4.0).startswith("Measured: 4.00 impacts per cycle.")
@@ -64,7 +64,7 @@ def test_a_measured_motion_that_is_not_the_predicted_one_is_told() -> None:
         assert same == ""
 
 
-def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> None:
+def test_unstable_motions_are_a_separate_line_that_joins_its_neighbours() -> None:
     lines = of(12.0)["lines"]
     assert [lasts for lasts, _ in lines] == [True, False, True]
     assert lines[0][1][-1] == lines[1][1][0]
@@ -83,13 +83,15 @@ def test_what_does_not_last_is_a_line_of_its_own_that_joins_its_neighbours() -> 
         (lambda: of(6.0, drive__waveform="chirp"), "a drive that is chirp"),
     ],
 )
-def test_where_it_does_not_apply_words_say_so(found: Callable[[], dict[str, Any]], words: str) -> None:
+def test_the_reason_is_shown_where_the_prediction_does_not_apply(
+    found: Callable[[], dict[str, Any]], words: str
+) -> None:
     said = found()
     assert said["lines"] == []
     assert words in said["words"]
 
 
-def test_the_newest_wish_alone_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_newest_request_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
     told: list[dict[str, Any]] = []
     begun, go_on, done = threading.Event(), threading.Event(), threading.Event()
@@ -122,7 +124,7 @@ def test_the_newest_wish_alone_is_computed(monkeypatch: pytest.MonkeyPatch) -> N
     assert asked == [1.0, 3.0]
 
 
-def test_what_decides_is_read() -> None:
+def test_the_prediction_depends_only_on_mechanics_and_drive() -> None:
     assert {"barriers.gap_m", "sphere.present", "contact.law", "drive.kind"} <= set(DECIDING)
     assert not any(name.startswith(("daq.", "instruments.", "time.")) for name in DECIDING)
 
@@ -183,7 +185,7 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_draws_it_dashed_where_it_does_not_last(open_page: Callable[..., Page], scheme: str) -> None:
+def test_the_page_draws_unstable_predictions_dashed(open_page: Callable[..., Page], scheme: str) -> None:
     source = FakeSource()
     source.snapshot.put(knobs={**DEFAULT, "barriers.gap_m": 0.012})
     source.snapshot.put(closed_form=closed_form(dict(DEFAULT)))

@@ -26,7 +26,7 @@ from impact_rig_lab.server import Server
 UNITS = Path(__file__).parent / "unit.js"
 
 
-def test_the_modules(open_page: Callable[..., Page]) -> None:
+def test_the_unit_tests_of_the_page_modules_pass(open_page: Callable[..., Page]) -> None:
     with Server(FakeSource(), port=0) as server:
         page = open_page(server.address)
         results = page.js(UNITS.read_text(encoding="utf-8"))

@@ -101,7 +101,7 @@ def code(raised: Any) -> Any:
     return raised.value.error_type
 
 
-def test_finite_input_of_all_channels(task: MakeTask) -> None:
+def test_a_finite_input_reads_all_channels(task: MakeTask) -> None:
     found = np.array(inputs(task(), "Dev1/ai0:3", 500, finite=True).read(-1))
     assert found.shape == (4, 500)
     assert np.isfinite(found).all()
@@ -113,7 +113,7 @@ def read_all(ai: Any, most: int) -> int:
     return int(ai._interpreter.read_analog_f64(ai._handle, -1, 10.0, FillMode.GROUP_BY_CHANNEL.value, values)[1])
 
 
-def test_finite_input_in_parts(task: MakeTask) -> None:
+def test_a_finite_input_can_be_read_in_parts(task: MakeTask) -> None:
     ai = inputs(task(), samples=500, finite=True)
     assert len(ai.read(200)) == 200
     assert [read_all(ai, 100), read_all(ai, 1000)] == [100, 200]
@@ -122,7 +122,7 @@ def test_finite_input_in_parts(task: MakeTask) -> None:
     assert code(raised) is DAQmxErrors.SAMPLES_WILL_NEVER_BE_AVAILABLE
 
 
-def test_an_output_is_repeated_and_an_input_starts_with_it(task: MakeTask) -> None:
+def test_an_output_is_repeated_and_triggers_an_input(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task())
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
     assert ao.write(WAVE) == RATE_HZ
@@ -146,7 +146,7 @@ def test_a_finite_input_with_a_trigger_within_a_block_is_complete(task: MakeTask
     np.testing.assert_allclose(ai.read(count), WAVE[:count], atol=1e-9)
 
 
-def test_a_repeated_output_is_overwritten_from_its_begin(task: MakeTask) -> None:
+def test_a_repeated_output_is_overwritten_from_its_beginning(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task(), 400)
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
     ao.write(WAVE[:400])
@@ -158,7 +158,7 @@ def test_a_repeated_output_is_overwritten_from_its_begin(task: MakeTask) -> None
     assert any(np.abs(np.array(ai.read(400)) - expected).max() < 1e-9 for _ in range(20))
 
 
-def test_an_output_is_written_while_an_input_is_read(task: MakeTask) -> None:
+def test_an_output_can_be_written_while_an_input_is_read(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task(), 1000, repeat=False)
     ao.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
     ao.write(WAVE[:1000])
@@ -173,7 +173,7 @@ def test_an_output_is_written_while_an_input_is_read(task: MakeTask) -> None:
     assert np.abs(np.concatenate(parts) - np.concatenate([WAVE[:1000], samples])[:3000]).max() < 1e-9
 
 
-def test_a_finite_output_ends(task: MakeTask) -> None:
+def test_a_finite_output_ends_after_its_samples(task: MakeTask) -> None:
     ao = output(task(), 400, finite=True)
     done = threading.Event()
     ao.register_done_event(lambda *_: done.set() or 0)
@@ -238,7 +238,7 @@ def test_a_waveform_is_played(task: MakeTask) -> None:
     assert code(raised) is DAQmxErrors.INVALID_ATTRIBUTE_VALUE
 
 
-def test_the_range_of_channels_is_changed_and_read(task: MakeTask) -> None:
+def test_the_range_of_a_channel_can_be_changed_and_read(task: MakeTask) -> None:
     ai = task()
     first = ai.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-0.1, max_val=0.1)
     rest = ai.ai_channels.add_ai_voltage_chan("Dev1/ai1:3", min_val=-10.0, max_val=10.0)
@@ -263,7 +263,7 @@ def test_a_script_finds_the_terminals_of_the_board(task: MakeTask) -> None:
     assert ai.devices[0].product_category not in {ProductCategory.C_SERIES_MODULE, ProductCategory.SCXI_MODULE}
 
 
-def test_values_on_demand(task: MakeTask) -> None:
+def test_single_values_are_written_and_read_on_demand(task: MakeTask) -> None:
     ao, ai, both, values = task(), task(), inputs(task(), "Dev1/ai3, Dev1/ai1"), np.zeros(20)
     ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
     ao.write(0.25)
@@ -287,7 +287,7 @@ def test_acceleration_is_scaled_by_the_sensitivity_that_the_script_states(task: 
     assert accel.read() == pytest.approx(9.80665 * 0.25 / 0.1, rel=1e-6)  # 100 mV/g
 
 
-def test_time_out(task: MakeTask) -> None:
+def test_a_read_without_enough_samples_times_out(task: MakeTask) -> None:
     with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
         inputs(task()).read(RATE_HZ, timeout=0.05)
     assert code(raised) is DAQmxErrors.SAMPLES_NOT_YET_AVAILABLE
@@ -299,7 +299,7 @@ def fall_behind(ai: Any) -> None:
         ai.read(1)
 
 
-def test_overwrite(task: MakeTask) -> None:
+def test_a_slow_reader_gets_the_error_of_overwritten_samples(task: MakeTask) -> None:
     ai = inputs(task())
     ai.in_stream.input_buf_size = 100
     ai.start()
@@ -309,7 +309,7 @@ def test_overwrite(task: MakeTask) -> None:
 
 
 @pytest.mark.parametrize("ask", ["write", "is_task_done", "wait_until_done", "stop"])
-def test_underrun(task: MakeTask, ask: str) -> None:
+def test_an_output_without_samples_gets_the_error_of_an_underrun(task: MakeTask, ask: str) -> None:
     ao = output(task(), 400, repeat=False)
     done = threading.Event()
     ao.register_done_event(lambda *_: done.set() or 0)
@@ -330,21 +330,21 @@ def test_underrun(task: MakeTask, ask: str) -> None:
         ("Dev2/ai0", DAQmxErrors.INVALID_DEVICE_ID),
     ],
 )
-def test_invalid_channel(task: MakeTask, channel: str, expected: DAQmxErrors) -> None:
+def test_an_invalid_channel_is_rejected(task: MakeTask, channel: str, expected: DAQmxErrors) -> None:
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         task().ai_channels.add_ai_voltage_chan(channel)
     assert code(raised) is expected
 
 
 @pytest.mark.parametrize("rate_hz", [1e9, 250_001.0, 99.0, 0.0, -5.0, float("nan"), float("inf")])
-def test_invalid_rate(task: MakeTask, rate_hz: float) -> None:
+def test_an_invalid_rate_is_rejected(task: MakeTask, rate_hz: float) -> None:
     ai = inputs(task())
     with pytest.raises(nidaqmx.errors.DaqError) as raised:
         ai.timing.cfg_samp_clk_timing(rate_hz)
     assert code(raised) is DAQmxErrors.INVALID_ATTRIBUTE_VALUE
 
 
-def test_not_started(task: MakeTask) -> None:
+def test_a_read_from_a_task_that_was_not_started_is_rejected(task: MakeTask) -> None:
     ai = inputs(task())
     ai.in_stream.auto_start = False
     with pytest.raises(nidaqmx.errors.DaqReadError) as raised:
@@ -382,7 +382,7 @@ def play_at(ao: Any, rate_hz: int) -> None:
         (lambda _, make: play_at(make(), 1000), DAQmxErrors.INVALID_ATTRIBUTE_VALUE),
     ],
 )  # fmt: skip
-def test_misuse_while_an_input_runs(
+def test_misuse_of_a_running_input_is_rejected(
     task: MakeTask, misuse: Callable[[Any, MakeTask], object], expected: DAQmxErrors | int
 ) -> None:
     ai = inputs(task())
@@ -410,7 +410,7 @@ def test_a_task_is_controlled_and_a_reset_stops_it(task: MakeTask, address: str)
     assert ai.is_task_done()
 
 
-def test_what_is_not_served_is_not_supported(task: MakeTask) -> None:
+def test_unsupported_calls_are_rejected_as_unsupported(task: MakeTask) -> None:
     with pytest.raises(nidaqmx.errors.RpcError, match="not supported by the NI gRPC Device Server"):
         task().di_channels.add_di_chan("Dev1/port0/line0")
     ai = inputs(task())
@@ -445,7 +445,7 @@ def test_a_running_rig_keeps_its_rates() -> None:
     assert rig.closed
 
 
-def test_a_message_beyond_the_limit_is_refused(task: MakeTask) -> None:
+def test_a_message_beyond_the_size_limit_is_rejected(task: MakeTask) -> None:
     ao = output(task())
     with pytest.raises(nidaqmx.errors.RpcError, match="larger than max"):
         ao.write(np.zeros(MOST_MESSAGE_BYTES // 8 + 1000))

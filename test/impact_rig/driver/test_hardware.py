@@ -192,17 +192,17 @@ ROWS: dict[str, Callable[[], None]] = {
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_a_row_of_the_vocabulary_is_true(row: str) -> None:
+def test_each_row_of_the_vocabulary_is_true(row: str) -> None:
     ROWS[row]()
 
 
-def test_the_page_has_these_rows() -> None:
+def test_the_page_lists_the_tested_rows() -> None:
     lines = PAGE.read_text(encoding="utf-8").split("| in a DAQ library | here |\n| --- | --- |\n")[1].splitlines()
     table = [line.split("|")[1].strip() for line in lines[: lines.index("")]]
     assert table == list(ROWS)
 
 
-def test_samples_that_do_not_fit_before_the_start_are_refused() -> None:
+def test_samples_that_exceed_the_buffer_before_the_start_are_rejected() -> None:
     output = AnalogOutput(LocalRig(STREAM), buffer_s=0.2)
     output.write(WAVE[:300])
     with pytest.raises(CommandError, match="200 samples before the start do not fit: the buffer has room for 100"):
@@ -217,7 +217,7 @@ def test_a_second_start_plays_after_the_samples_of_the_first() -> None:
         output.stop()
 
 
-def test_an_output_alone_keeps_nothing_of_what_the_rig_publishes() -> None:
+def test_an_output_without_an_input_keeps_no_scans() -> None:
     rig = LocalRig(STREAM)
     output = AnalogOutput(rig, buffer_s=0.2)
     output.start()
@@ -275,7 +275,7 @@ with RosRig(namespace="/rig") as rig:
 
 
 @pytest.mark.ros
-def test_the_halves_work_in_processes_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_input_and_output_work_in_separate_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.processes import Processes, isolated_domain
     from impact_rig.driver import RosRig
@@ -297,7 +297,7 @@ def test_the_halves_work_in_processes_of_their_own(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.ros
-def test_the_state_of_an_output_is_current_although_nothing_else_is_called() -> None:
+def test_the_state_of_an_output_is_current_without_other_calls() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.driver import RosRig
 
@@ -314,7 +314,7 @@ def test_the_state_of_an_output_is_current_although_nothing_else_is_called() -> 
         assert output.write(WAVE) >= RATE_HZ // 10
 
 
-def test_hardware_ends_a_test_at_its_limit_whoever_reads() -> None:
+def test_a_reading_beyond_its_limit_ends_the_test() -> None:
     hardware = Hardware(LocalRig(STREAM), {"current": 0.1})
     with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit 0\.1 A, at scan"):
         hardware.respond(WAVE)

@@ -34,7 +34,7 @@ LINEAR = {"sphere.present": False}
 LASER = 1 << CHANNELS.index("laser")
 
 
-def test_a_command_acts_on_the_sample_it_was_asked_for() -> None:
+def test_a_command_acts_at_the_requested_sample() -> None:
     rig = LocalRig(LINEAR)
     assert rig.command(frequency_hz=9.1, current_a=0.52, at_sample=3000) == 3000
     rig.run(0.2)
@@ -45,19 +45,19 @@ def test_a_command_acts_on_the_sample_it_was_asked_for() -> None:
 
 
 @pytest.mark.parametrize("at_sample", [50, 3050])
-def test_a_command_between_the_instants_of_the_grid_is_refused(at_sample: int) -> None:
+def test_a_command_off_the_grid_of_instants_is_rejected(at_sample: int) -> None:
     with pytest.raises(CommandError, match=f"no command can act on sample {at_sample}: .* every 100 samples"):
         LocalRig(LINEAR).command(frequency_hz=9.1, at_sample=at_sample)
 
 
-def test_a_command_in_the_past_is_refused() -> None:
+def test_a_command_in_the_past_is_rejected() -> None:
     rig = LocalRig(LINEAR)
     rig.run(1.0)
     with pytest.raises(ConfigError, match="cannot run to sample 100: rig is at 10000"):
         rig.command(current_a=0.1, at_sample=100)
 
 
-def test_a_rig_starts_again_at_scan_0_with_everything_at_rest() -> None:
+def test_a_restarted_rig_begins_at_scan_0_and_at_rest() -> None:
     rig = LocalRig({**LINEAR, "drive.amplitude": 0.3}, analysis={"gap_m": None})
     rig.run(0.517)
     rig.command(current_a=0.5)
@@ -75,7 +75,7 @@ def test_a_rig_starts_again_at_scan_0_with_everything_at_rest() -> None:
     assert np.abs(again["laser"][:10]).max() < 1e-4 < np.abs(again["laser"]).max()
 
 
-def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
+def test_planned_and_injected_faults_begin_and_end_at_their_samples() -> None:
     """The numbers are odd on purpose: a fault need not begin with a block."""
     planned = Fault(kind="saturation", channel="laser", start_sample=4003, samples=17, value=1e-6)
     rig = LocalRig({**LINEAR, "drive.amplitude": 0.2}, [planned])
@@ -90,7 +90,7 @@ def test_faults_begin_and_end_at_their_samples_planned_or_injected() -> None:
         rig.inject(Fault(kind="dropout", channel="current", start_sample=6011))
 
 
-def test_the_pipeline_sees_every_published_block_before_the_next_and_may_command() -> None:
+def test_the_pipeline_receives_each_block_before_the_next_and_can_send_commands() -> None:
     rig = LocalRig(LINEAR, [Fault(kind="lost_block", start_sample=2000, samples=150)])
     seen: list[int] = []
 
@@ -106,7 +106,7 @@ def test_the_pipeline_sees_every_published_block_before_the_next_and_may_command
     assert rig.lost_samples() == [(2000, 2200)], "whole blocks are lost"
 
 
-def test_waiting_happens_in_rig_time_and_says_what_was_in_the_way() -> None:
+def test_timeouts_count_rig_time_and_report_the_active_faults() -> None:
     rig = LocalRig({**LINEAR, "drive.amplitude": 0.52}, [Fault(kind="dropout", channel="laser", samples=500)])
     moved = rig.wait_until(lambda: np.abs(rig.rows()["laser"][500:]).max(initial=0) > 2e-3, "the structure to move")
     assert 0.05 < moved < 2.0
@@ -117,7 +117,7 @@ def test_waiting_happens_in_rig_time_and_says_what_was_in_the_way() -> None:
     assert rig.time_s == pytest.approx(moved + 0.3)
 
 
-def test_the_closed_form_is_what_ideal_instruments_measure() -> None:
+def test_ideal_instruments_measure_the_closed_form() -> None:
     rig = LocalRig({**LINEAR, "drive.amplitude": 0.3, "drive.frequency_hz": 8.0, "instruments.ideal": True})
     rig.run(8.0)
     rows = rig.rows()[-50_000:]
@@ -129,7 +129,7 @@ def test_the_closed_form_is_what_ideal_instruments_measure() -> None:
 
 
 @pytest.mark.ros
-def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
+def test_the_recorded_run_is_verified_bit_for_bit(tmp_path: Path) -> None:
     rig = LocalRig({"barriers.gap_m": 0.002, "daq.seed": 7}, [Fault(kind="stuck", channel="base", start_sample=900)])
     rig.command(frequency_hz=9.1, current_a=0.52, at_sample=500)
     rig.run(0.5)
@@ -144,7 +144,7 @@ def test_the_run_it_leaves_is_proved_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.ros
-def test_what_is_forgotten_in_a_long_test_is_the_oldest(tmp_path: Path) -> None:
+def test_a_long_test_forgets_the_oldest_data(tmp_path: Path) -> None:
     rig = LocalRig(LINEAR, kept_bytes=50 * 100 * 41)
     rig.command(current_a=0.1)
     rig.run(1.0)
@@ -185,7 +185,7 @@ def test_a_long_test_takes_bounded_memory(what: str) -> None:
 
 
 @pytest.mark.ros
-def test_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
+def test_the_comparison_with_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
     def measure(**changes: object) -> LocalRig:
         rig = LocalRig({"drive.amplitude": 0.52, "barriers.gap_m": 0.002, **changes})
         rig.run(0.3)
@@ -206,7 +206,7 @@ def test_a_golden_run_names_the_first_difference(tmp_path: Path) -> None:
     assert first_difference(other.tables()[:-1], other.tables(), {}) == "29 tables, golden 30"
 
 
-def test_golden_values_name_all_differences(tmp_path: Path) -> None:
+def test_the_comparison_with_golden_values_names_all_differences(tmp_path: Path) -> None:
     Golden(tmp_path, update=True).values({"dt": 76.3, "impacts": 2.0})
     golden = Golden(tmp_path, update=False)
     golden.values({"dt": 76.30001, "impacts": 2.0}, rel=1e-6)
@@ -216,7 +216,7 @@ def test_golden_values_name_all_differences(tmp_path: Path) -> None:
         golden.values({"dt": 80.0, "more": 1.0})
 
 
-def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
+def test_a_report_describes_the_rig_and_its_events() -> None:
     rig = LocalRig({"barriers.gap_m": 0.003}, [Fault(kind="lost_block", start_sample=500, samples=100)], name="mine")
     rig.command(frequency_hz=8.5, current_a=0.1, at_sample=1000)
     report = rig.report()
@@ -244,6 +244,6 @@ def test_a_report_tells_what_the_rig_was_and_what_happened() -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_refused(parameters, fault, error: type[Exception], words: str) -> None:
+def test_invalid_parameters_and_faults_are_rejected(parameters, fault, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         LocalRig(parameters, [Fault(**fault)] if fault else [])

@@ -55,7 +55,7 @@ def start(request: pytest.FixtureRequest) -> Iterator[Start]:
         rig.close()
 
 
-def test_commands_changes_and_faults_act_at_the_same_samples(start: Start) -> None:
+def test_commands_changes_and_faults_act_at_the_same_samples_with_every_driver(start: Start) -> None:
     rig, twin = start(LINEAR, [LOST]), LocalRig(LINEAR, [LOST])
     for one in (rig, twin):
         assert one.command(frequency_hz=9.1, current_a=0.4, at_sample=200) == 200
@@ -72,7 +72,7 @@ def test_commands_changes_and_faults_act_at_the_same_samples(start: Start) -> No
     assert rig.report() == twin.report()
 
 
-def test_what_was_read_can_be_forgotten(start: Start) -> None:
+def test_scans_that_were_read_can_be_discarded(start: Start) -> None:
     rig = start(LINEAR, [LOST])
     for _ in range(7):
         rig.step()
@@ -83,7 +83,7 @@ def test_what_was_read_can_be_forgotten(start: Start) -> None:
     assert len(rig.rows("daq/info")) == 4
 
 
-def test_a_refusal_changes_nothing(start: Start) -> None:
+def test_a_rejected_request_changes_nothing(start: Start) -> None:
     rig = start(LINEAR)
     with pytest.raises(CommandError, match="current must be >= 0"):
         rig.command(current_a=99.0)
@@ -102,7 +102,7 @@ def test_a_trip_is_reported_with_its_figures(start: Start) -> None:
     assert rig.stopped.endswith("limit 0.01 mm")
 
 
-def test_a_stream_is_played_and_read_and_ends_where_its_samples_end(start: Start) -> None:
+def test_a_stream_is_played_and_recorded_and_ends_with_its_samples(start: Start) -> None:
     wave = 0.3 * np.sin(2.0 * np.pi * 9.0 * np.arange(1500) / 2000)
     found = Hardware(start({**STREAM, "time.mode": "free_running", "time.peers": ["client"]})).respond(wave)
     twin = Hardware(LocalRig(STREAM)).respond(wave)
@@ -110,7 +110,7 @@ def test_a_stream_is_played_and_read_and_ends_where_its_samples_end(start: Start
     assert np.abs(found["current"][:1500]).max() > 0.25
 
 
-def test_the_analysis_and_the_recording_are_part_of_it(start: Start, tmp_path: Path) -> None:
+def test_every_driver_provides_analysis_and_recording(start: Start, tmp_path: Path) -> None:
     rig = start({**LINEAR, "drive.amplitude": 0.4}, analysis={"gap_m": 0.0}, record=tmp_path / "run")
     rig.run(seconds=12.0)
     rows = rig.rows("transmissibility/table")
@@ -124,7 +124,7 @@ def test_the_analysis_and_the_recording_are_part_of_it(start: Start, tmp_path: P
         assert verify(run).identical
 
 
-def test_the_truth_of_every_scan_is_there_when_it_is_asked_for(start: Start) -> None:
+def test_the_truth_of_every_scan_is_available_on_request(start: Start) -> None:
     rig = start(LINEAR, also=["truth/scan"])
     rig.configure({"output.truth_scan": True})
     rig.step()
@@ -133,7 +133,7 @@ def test_the_truth_of_every_scan_is_there_when_it_is_asked_for(start: Start) -> 
     assert len(rig.newest("truth/scan", 300)) == 300
 
 
-def test_a_topic_that_is_not_kept_is_named_with_those_that_are(start: Start) -> None:
+def test_a_topic_that_is_not_kept_is_rejected_with_a_list_of_those_that_are(start: Start) -> None:
     rig = start(LINEAR)
     for read in (rig.tables, rig.rows):
         with pytest.raises(ConfigError, match=r"'truth/scan' is not kept, only daq/info, daq/scan, .*`also`"):

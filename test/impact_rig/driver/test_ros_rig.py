@@ -86,7 +86,7 @@ def rig() -> Iterator[RosRig]:
         yield started
 
 
-def test_it_gives_the_samples_of_the_rig_without_ros(rig: RosRig) -> None:
+def test_a_rig_over_topics_yields_the_samples_of_a_rig_without_ros(rig: RosRig) -> None:
     """Both drivers of one rig give equal samples, so a test may change from one to the other."""
     node = rig.host(Counter)
     virtual = LocalRig(LINEAR, [LOST])
@@ -102,7 +102,7 @@ def test_it_gives_the_samples_of_the_rig_without_ros(rig: RosRig) -> None:
         rig.command(current_a=0.1, at_sample=5050)
 
 
-def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig: RosRig) -> None:
+def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_is_silent(rig: RosRig) -> None:
     answerer = rig.client.host(Answerer)
     rig.client.host(Acknowledger)
     answers = rig.follow("answerer", output="answers")
@@ -117,7 +117,7 @@ def test_a_node_can_answer_or_acknowledge_and_is_named_when_it_falls_silent(rig:
         rig.step(20)
 
 
-def test_no_blocks_and_blocks_set_by_parameter_are_stepped_as_asked_for(rig: RosRig) -> None:
+def test_a_step_takes_the_requested_number_of_blocks_even_if_zero_or_set_otherwise(rig: RosRig) -> None:
     """A time of zero is valid; with `step.blocks` set, a step still takes the number of blocks that it is asked for."""
     rig.run(0.0)
     rig.configure({"step.blocks": 3})
@@ -127,7 +127,7 @@ def test_no_blocks_and_blocks_set_by_parameter_are_stepped_as_asked_for(rig: Ros
     assert (rig.sample, len(rig.tables())) == (400, 4)
 
 
-def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
+def test_an_injected_fault_is_reported_at_the_scan_at_which_it_acts(rig: RosRig) -> None:
     """The time of an injected fault in reports counts from scan 0, not from the injection."""
     rig.step(10)
     fault = Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)
@@ -136,7 +136,7 @@ def test_an_injected_fault_is_told_at_the_scan_it_acts_on(rig: RosRig) -> None:
     assert str(fault) in rig.report()
 
 
-def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: RosRig) -> None:
+def test_a_running_rig_accepts_changes_and_faults_and_has_an_analysis(rig: RosRig) -> None:
     """Over topics, it is done as docs/how-to/testing.md says; without ROS, by `configure` and `inject`."""
     rig.processes.start("analysis")
     assert rig.follow("analysis") is None, "it acknowledges by itself"
@@ -156,13 +156,13 @@ def test_a_running_rig_takes_changes_and_faults_and_has_its_own_analysis(rig: Ro
     assert {"barriers.gap_m": 0.004} in [dict(entry.values) for entry in rig.journal()]
 
 
-def test_a_node_that_does_not_listen_cannot_be_in_lockstep(rig: RosRig) -> None:
+def test_a_node_without_a_subscription_cannot_be_in_lockstep(rig: RosRig) -> None:
     with pytest.raises(ConfigError, match="'deaf' does not subscribe to daq/scan"):
         rig.host(lambda **kwargs: Node("deaf", **kwargs))
 
 
 @pytest.mark.pipeline
-def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Path) -> None:
+def test_the_last_output_of_dead_processes_is_reported_and_their_run_is_complete(tmp_path: Path) -> None:
     """The run saved from real processes after the rig was killed is still verified bit for bit."""
     rig = RosRig({"barriers.gap_m": 0.002}, record=True)
     try:
@@ -182,7 +182,7 @@ def test_processes_die_with_their_last_words_and_leave_a_whole_run(tmp_path: Pat
     assert not rig.directory.exists()
 
 
-def test_a_rig_that_cannot_be_built_says_so_at_once(tmp_path: Path) -> None:
+def test_a_rig_that_cannot_be_built_fails_at_once_with_the_reason(tmp_path: Path) -> None:
     """Its configuration is valid, but a file is missing: only the node can find this out."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(RigNode, parameter_overrides=[Parameter("config_file", value=str(tmp_path / "none.yaml"))])
@@ -249,7 +249,7 @@ def test_what_is_printed(ros_rig, capsys):
 @pytest.mark.parametrize(
     "option", ["-s", *(pytest.param(o, marks=pytest.mark.slow) for o in ("--capture=sys", "--capture=fd"))]
 )
-def test_a_test_may_use_capsys_however_pytest_captures(tmp_path: Path, option: str) -> None:
+def test_a_test_can_use_capsys_with_any_capture_mode_of_pytest(tmp_path: Path, option: str) -> None:
     """With `-s`, sys.stderr has no file, so the events executor would raise `UnsupportedOperation: fileno`."""
     (tmp_path / "test_capsys.py").write_text(WITH_CAPSYS, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", option, str(tmp_path)]

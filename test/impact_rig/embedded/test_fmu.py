@@ -132,14 +132,14 @@ def test_a_unit_of_samples_is_valid(version: str, tmp_path: Path) -> None:
     assert validate(str(tmp_path / "rig.fmu")) == []
 
 
-def test_the_names_of_the_outputs(path: Path) -> None:
+def test_outputs_have_the_documented_names(path: Path) -> None:
     names = [one.name for one in fmpy.read_model_description(str(path)).modelVariables]
     assert [NAMES.get(one, one) for one in QUANTITIES] == names[-len(QUANTITIES) - 5 : -5]
     assert names[-4:] == [f"reading_{one}" for one in ("accelerometer", "laser", "base", "current")]
 
 
 @pytest.mark.parametrize("ticks", [1, 5, 50])
-def test_it_gives_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
+def test_a_unit_yields_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
     """The current changes during the run."""
     native = Native(RigConfig())
     unit.set(1, 9.1)
@@ -155,7 +155,7 @@ def test_it_gives_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
 
 
 @pytest.mark.parametrize("changes", CHANGES, ids=str)
-def test_another_rig_gives_its_own_bits(changes: dict[str, Any], tmp_path: Path) -> None:
+def test_a_unit_of_another_rig_yields_the_bits_of_that_rig(changes: dict[str, Any], tmp_path: Path) -> None:
     config = from_flat(RigConfig(), changes)
     write_fmu(config, tmp_path / "rig.fmu")
     unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
@@ -169,7 +169,7 @@ def test_another_rig_gives_its_own_bits(changes: dict[str, Any], tmp_path: Path)
     unit.fmu.freeInstance()
 
 
-def test_another_gap_is_that_of_the_rig_reconfigured(unit: Unit) -> None:
+def test_a_unit_with_another_gap_equals_a_reconfigured_rig(unit: Unit) -> None:
     native = Native(RigConfig())
     unit.set(2, 0.5)
     native.rig.accept(None, 0.5)
@@ -182,7 +182,7 @@ def test_another_gap_is_that_of_the_rig_reconfigured(unit: Unit) -> None:
             assert unit.values() == native.values()
 
 
-def test_a_state_gives_the_same_future(unit: Unit) -> None:
+def test_a_restored_state_leads_to_the_same_future(unit: Unit) -> None:
     unit.set(1, 9.1)
     unit.set(2, 0.52)
     for i in range(20):
@@ -245,7 +245,7 @@ def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
 @pytest.mark.parametrize(
     ("rate_hz", "seconds", "version"), [(1000, 1.0, "2.0"), (10_000, 0.5, "3.0"), (777, 1.0, "3.0")]
 )
-def test_samples_give_the_bits_of_a_rig_fed_with_them(
+def test_a_unit_of_samples_yields_the_bits_of_a_rig_with_the_same_samples(
     rate_hz: int, seconds: float, version: str, hold: str, tmp_path: Path
 ) -> None:
     """Compare motion and impacts at the end of each step, and the newest readings that are complete by then."""
@@ -275,7 +275,7 @@ def test_samples_give_the_bits_of_a_rig_fed_with_them(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_state_between_ticks_gives_the_same_future(version: str, tmp_path: Path) -> None:
+def test_a_state_restored_between_ticks_leads_to_the_same_future(version: str, tmp_path: Path) -> None:
     """Steps have uneven lengths; some states lie within a contact, whose readings are not complete yet."""
     config = of_samples(10_000, "first_order", **{"barriers.gap_m": 0.002})
     write_fmu(config, tmp_path / "rig.fmu", version)
@@ -310,7 +310,7 @@ def test_a_state_between_ticks_gives_the_same_future(version: str, tmp_path: Pat
     other.fmu.freeInstance()
 
 
-def test_a_new_gap_waits_for_the_next_tick_between_samples(tmp_path: Path) -> None:
+def test_a_new_gap_takes_effect_at_the_next_tick(tmp_path: Path) -> None:
     config = of_samples(1000, "zero_order")
     write_fmu(config, tmp_path / "rig.fmu")
     unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
@@ -331,7 +331,9 @@ def test_a_new_gap_waits_for_the_next_tick_between_samples(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("value", "length"), [(1e3, 0.001), (float("nan"), 0.001), (0.1, 0.0)])
-def test_samples_out_of_range_and_steps_without_length_are_refused(value: float, length: float, tmp_path: Path) -> None:
+def test_samples_out_of_range_and_steps_of_zero_length_are_rejected(
+    value: float, length: float, tmp_path: Path
+) -> None:
     write_fmu(of_samples(1000, "zero_order"), tmp_path / "rig.fmu")
     unit = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked")
     names = [one.name for one in fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables]
@@ -355,7 +357,7 @@ def test_a_step_off_the_grid_is_discarded(unit: Unit) -> None:
 @pytest.mark.parametrize(
     ("reference", "value"), [(1, 1e6), (1, -1.0), (2, 1e3), (2, float("nan")), (3, 0.0), (30, 1.0)]
 )
-def test_values_out_of_range_are_refused(unit: Unit, reference: int, value: float) -> None:
+def test_values_out_of_range_are_rejected(unit: Unit, reference: int, value: float) -> None:
     with pytest.raises(Exception, match=r"fmi[23]|3"):  # noqa: PT012  # inputs are judged together, by the step
         unit.set(reference, value)
         unit.step(0.0, 0.01)
@@ -368,7 +370,7 @@ def test_values_out_of_range_are_refused(unit: Unit, reference: int, value: floa
         ({"instruments.ideal": True}, "instruments.ideal must be False"),
     ],
 )
-def test_what_a_unit_cannot_be_is_refused(changes: dict[str, Any], said: str) -> None:
+def test_an_impossible_unit_is_rejected(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         snapshot(from_flat(RigConfig(), changes))
 

@@ -54,7 +54,7 @@ def curve(sensor, errors, values):
 
 
 @pytest.mark.parametrize(("index", "shift"), [(1, 0.0), (2, 0.0), (1, 0.4)])
-def test_linearity_stays_within_its_limit_and_holds_no_gain(index, shift):
+def test_the_linearity_error_is_within_its_limit_and_adds_no_gain_or_zero(index, shift):
     sensor = sensors(configured(laser__resolution_m=0))[index]
     shift *= sensor.half_range  # a range need not lie about zero
     sensor = attrs.evolve(sensor, low=sensor.low + shift, high=sensor.high + shift)
@@ -72,7 +72,7 @@ def test_linearity_stays_within_its_limit_and_holds_no_gain(index, shift):
     assert largest > 0.9 * sensor.linearity  # the specification is used, not only kept
 
 
-def test_errors_fill_their_tolerances():
+def test_errors_spread_over_their_whole_tolerances():
     rng = Random(6)
     drawn = np.array([[e.gain, e.offset, e.c_2, e.c_3] for e in (calibration.draw_channel(rng) for _ in range(20_000))])
     assert np.max(np.abs(drawn)) <= 1.0
@@ -81,7 +81,7 @@ def test_errors_fill_their_tolerances():
 
 
 @pytest.mark.repeats
-def test_certificate_covers_gain_and_zero_of_many_rigs():
+def test_the_certificate_covers_gain_and_zero_of_many_rigs():
     """Small sines about zero, on many rigs: mean and spread of gain and zero agree with the certificate."""
     frequency = 10.0
     peaks = {"accelerometer": 10.0, "laser": 1e-4, "base": 1e-4, "current": 0.1}
@@ -111,7 +111,7 @@ def test_certificate_covers_gain_and_zero_of_many_rigs():
         np.testing.assert_array_less(np.abs(np.mean(found, axis=0)), 4.5 * claimed / math.sqrt(SEEDS))
 
 
-def test_errors_stay_for_a_seed_and_scale_with_the_tolerance():
+def test_errors_are_the_same_for_a_seed_and_scale_with_the_tolerance():
     def gain(tolerance):
         config = quiet(3, base__linearity=0, base__gain_tolerance=tolerance, adc__gain_tolerance=0)
         scans = measured(Chain(config), AnalyticMotion(x_b=sine(10.0, 1e-3)), 0.3)[100:]
@@ -124,7 +124,7 @@ def test_errors_stay_for_a_seed_and_scale_with_the_tolerance():
     assert gain(0.0) == pytest.approx(0.0, abs=2e-6)
 
 
-def test_the_board_errs_alike_on_all_channels():
+def test_the_error_of_the_board_is_the_same_on_all_channels():
     config = quiet(
         4,
         base__linearity=0, base__gain_tolerance=0, base__offset_tolerance_m=0,
@@ -137,6 +137,6 @@ def test_the_board_errs_alike_on_all_channels():
     assert abs(base - 1) > 1e-4
 
 
-def test_perfect_errors_leave_a_straight_line():
+def test_a_channel_without_errors_is_a_straight_line():
     sensor = sensors(configured())[2]
     np.testing.assert_allclose(curve(sensor, ChannelErrors(), np.linspace(-0.01, 0.01, 11)), 0.0, atol=1e-15)

@@ -72,7 +72,7 @@ FAULTS = (
 
 @settings(max_examples=12)
 @given(data=st.data(), rate_hz=st.sampled_from([100, 777, 12_345, 25_600, 50_000]))
-def test_no_bit_depends_on_how_the_chain_is_called(data, rate_hz):
+def test_readings_do_not_depend_on_how_calls_divide_the_motion(data, rate_hz):
     cuts, left = [], TICKS
     while left:
         cuts.append(data.draw(st.integers(1, left)))
@@ -82,7 +82,7 @@ def test_no_bit_depends_on_how_the_chain_is_called(data, rate_hz):
     np.testing.assert_array_equal(run(config, cuts, block, faults=FAULTS), run(config, faults=FAULTS))
 
 
-def test_no_bit_depends_on_how_the_simulated_rig_is_called():
+def test_readings_of_the_simulated_rig_do_not_depend_on_how_calls_divide_time():
     config = configured(50_000)
 
     def record(ticks_per_call):
@@ -121,7 +121,7 @@ def test_rates_agree_where_their_scans_coincide():
         np.testing.assert_allclose(slow[name], fast[name][::10], atol=2e-3 * scale, err_msg=name)
 
 
-def test_same_seed_same_bits_other_seed_other_noise():
+def test_the_seed_determines_the_noise():
     first, again, other = (run(configured(10_000, seed=seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     for name in CHANNELS:
@@ -130,7 +130,7 @@ def test_same_seed_same_bits_other_seed_other_noise():
     np.testing.assert_array_equal(*clean)  # noise and calibration errors are all a seed decides
 
 
-def test_reset_starts_over():
+def test_a_reset_repeats_the_readings_from_the_start():
     chain = Chain(configured(10_000))
     before = measured(chain, lively_motion(), 0.1)
     chain.inject(Fault(kind="dropout", channel="laser", start_sample=chain.first_open_scan))
@@ -139,7 +139,7 @@ def test_reset_starts_over():
     np.testing.assert_array_equal(measured(chain, lively_motion(), 0.1), before)
 
 
-def test_changed_instruments_leave_the_others_alone():
+def test_a_change_of_one_instrument_does_not_affect_the_others():
     config = configured(10_000)
     changed = from_flat(config, {"instruments.laser.lag_s": 2e-3, "instruments.laser.inverted": True})
     chain = Chain(config)
@@ -157,7 +157,7 @@ def test_changed_instruments_leave_the_others_alone():
             chain.reconfigure(from_flat(changed, {key: value}))
 
 
-def test_clock_error_scales_the_physics_beneath():
+def test_an_error_of_the_clock_scales_the_time_of_the_physics():
     """If the clock is 100 ppm fast, a tick of DAQ time covers less of the motion, so its frequency reads lower."""
     tick_s = 0.01 * (1 - 100e-6)
     config = configured(10_000, exact=True)
@@ -191,7 +191,7 @@ def test_ideal_instruments_read_the_motion_itself():
 
 
 @pytest.mark.parametrize("ticks", [3, 53])
-def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
+def test_every_channel_reads_each_scan_once_after_a_change_to_ideal_instruments(ticks):
     """A channel whose conversion lies beyond the end of a tick must not miss it, or it stays one scan behind."""
     config = configured(1234)
     chain, motion = Chain(config), lively_motion()
@@ -211,7 +211,7 @@ def test_every_channel_of_instruments_made_ideal_reads_each_scan_once(ticks):
 
 
 @pytest.mark.parametrize("change", [{"adc.multiplexed": False}, {"adc.conversion_ns": 1000}], ids=["one", "sooner"])
-def test_a_scan_that_a_smaller_skew_puts_into_the_past_delays_no_other(change):
+def test_a_smaller_skew_that_puts_a_scan_into_the_past_delays_no_other_scan(change):
     """If a scan is in the past after the change, it must not delay the others of that piece."""
     config = configured(1234, exact=True, base__bandwidth_hz=1e5)
     then = from_flat(config, {f"instruments.{name}": value for name, value in change.items()})
@@ -228,7 +228,7 @@ def test_a_scan_that_a_smaller_skew_puts_into_the_past_delays_no_other(change):
     assert abs(scans[begun - 1] - all_along[begun - 1]) < 22e-6 * 2 * np.pi * 20.0 * 10e-3  # at most as late as it was
 
 
-def test_certificate_tells_what_the_analysis_needs():
+def test_the_certificate_contains_what_the_analysis_needs():
     info = Chain(configured(50_000)).info()
     assert info.dtype == DAQ_INFO
     assert [name.decode() for name in info["name"]] == list(CHANNELS)
@@ -243,7 +243,7 @@ def test_certificate_tells_what_the_analysis_needs():
     assert info["noise"][0] == pytest.approx(5e-3 * 9.80665, rel=0.5)  # 5 mg, and the converter's own
 
 
-def test_calibration_sine_replaces_one_channel_for_a_while():
+def test_a_calibration_sine_replaces_one_channel_for_its_duration():
     config = configured(10_000, exact=True)
     chain = Chain(config)
     chain.acquire(lively_motion(), 0, 10)
@@ -262,7 +262,7 @@ def test_calibration_sine_replaces_one_channel_for_a_while():
 
 
 @pytest.mark.parametrize("ideal", [True, False])
-def test_a_calibration_sine_goes_on_where_the_scan_clock_begins_to_err(ideal):
+def test_a_calibration_sine_is_continuous_when_the_clock_starts_to_drift(ideal):
     """The phase must not jump, as it would if the new length of a tick were applied to all ticks so far."""
     config = configured(10_000, exact=True)
     config = attrs.evolve(config, instruments=attrs.evolve(config.instruments, ideal=ideal))
@@ -275,7 +275,7 @@ def test_a_calibration_sine_goes_on_where_the_scan_clock_begins_to_err(ideal):
     assert steps.max() < 2.0 * np.pi * 10.0 * 1e-3 * 1.05e-4 * 1.02, "no faster than a sine of 10 Hz"
 
 
-def test_memory_is_bounded():
+def test_the_memory_of_the_chain_is_bounded():
     """Only data that have not been read are kept."""
     chain = Chain(configured(10_000))
     handed_out = 0

@@ -24,7 +24,7 @@ from impact_rig.rig.config import RigConfig, dump, from_flat
 
 @pytest.mark.parametrize("seed", range(1, 7))
 @pytest.mark.parametrize("rate_hz", [1_000, 12_345])
-def test_sound_rigs_pass(seed, rate_hz):
+def test_rigs_without_faults_pass_the_check(seed, rate_hz):
     checks = check_known_input(configured(rate_hz, seed=seed))
     assert [check.channel for check in checks] == list(CHANNELS)
     for check in checks:
@@ -32,7 +32,7 @@ def test_sound_rigs_pass(seed, rate_hz):
         assert check.polarity == 1
 
 
-def test_ideal_instruments_pass_exactly():
+def test_ideal_instruments_pass_the_check_exactly():
     for check in check_known_input(from_flat(configured(1_000), {"instruments.ideal": True})):
         assert check.ok
         assert check.measured == pytest.approx(check.expected, rel=1e-9)
@@ -49,12 +49,12 @@ def test_ideal_instruments_pass_exactly():
     ],
     ids=lambda fault: fault.kind,
 )
-def test_faults_are_found_on_their_channel(fault):
+def test_the_check_finds_faults_on_their_channel(fault):
     for check in check_known_input(configured(1_000), [fault]):
         assert check.ok == (check.channel != "laser"), check
 
 
-def test_polarity_finds_swapped_wires_and_dead_channels():
+def test_the_polarity_check_finds_swapped_wires_and_dead_channels():
     config = configured(1_000, base__inverted=True, current__inverted=True)
     dead = Fault(kind="dropout", channel="laser")
     assert check_polarity(config, [dead]) == {"accelerometer": 1, "laser": 0, "base": -1, "current": -1}

@@ -31,7 +31,7 @@ def exact_16_bit(**changes):
 
 
 @pytest.mark.parametrize(("channel", "quantity", "peak"), [("base", "x_b", 1e-4), ("current", "current", 0.05)])
-def test_readings_are_whole_steps_of_16_bits(channel, quantity, peak):
+def test_readings_are_multiples_of_the_step_of_16_bits(channel, quantity, peak):
     config = exact_16_bit()
     scans = measured(Chain(config), AnalyticMotion(**{quantity: sine(3.0, peak)}), 1.0)
     sensor = next(sensor for sensor in sensors(config) if sensor.name == channel)
@@ -41,7 +41,7 @@ def test_readings_are_whole_steps_of_16_bits(channel, quantity, peak):
     assert set(np.unique(np.diff(np.unique(np.rint(codes))))) == {1.0}  # every code within the swing occurs
 
 
-def test_codes_end_where_those_of_the_board_do_and_both_ends_are_flagged():
+def test_the_range_of_codes_is_that_of_the_board_and_both_ends_are_flagged():
     """One more of the 2^16 codes is negative. The sine grows slowly through the ends, so some scans just reach them."""
     config = exact_16_bit()
     growing = lambda t: 1751.0 * (0.95 + 0.05 * t) * np.sin(2 * np.pi * 5.0 * t)  # noqa: E731
@@ -54,7 +54,7 @@ def test_codes_end_where_those_of_the_board_do_and_both_ends_are_flagged():
     np.testing.assert_array_equal(scans["status"] & BIT["accelerometer"] > 0, ends)
 
 
-def test_quantisation_error_is_spread_over_one_step():
+def test_the_quantisation_error_is_uniform_over_one_step():
     config = exact_16_bit()
     scans = measured(Chain(config), AnalyticMotion(x_b=lambda t: 1e-4 * t), 5.0)
     step = 2 * 10.0 / 2**16 / 800.0
@@ -63,7 +63,7 @@ def test_quantisation_error_is_spread_over_one_step():
     assert np.std(error) == pytest.approx(step / np.sqrt(12), rel=0.01)
 
 
-def test_laser_reads_in_steps_of_its_resolution():
+def test_the_laser_reads_in_steps_of_its_resolution():
     config = from_flat(configured(10_000, exact=True), {"instruments.laser.resolution_m": 8e-6})
     scans = measured(Chain(config), AnalyticMotion(x_1=sine(3.0, 1e-4)), 1.0)
     levels = np.unique(np.round(scans["laser"] / 8e-6, 3))
@@ -79,7 +79,7 @@ def test_laser_reads_in_steps_of_its_resolution():
         ("current", "current", 40.0, 25.0),
     ],
 )
-def test_beyond_the_range_it_clips_and_says_so(channel, quantity, peak, limit):
+def test_readings_beyond_the_range_are_clipped_and_flagged(channel, quantity, peak, limit):
     config = configured(10_000, exact=True)
     sensor = next(sensor for sensor in sensors(config) if sensor.name == channel)
     scans = measured(Chain(config), AnalyticMotion(**{quantity: sine(5.0, peak)}), 2.0)
@@ -91,7 +91,7 @@ def test_beyond_the_range_it_clips_and_says_so(channel, quantity, peak, limit):
     assert sensor.measuring_range()[1] == pytest.approx(limit, rel=1e-6)
 
 
-def test_within_the_range_nothing_is_flagged():
+def test_readings_within_the_range_are_not_flagged():
     scans = measured(Chain(configured(10_000)), AnalyticMotion(x_1=sine(9.1, 5.9e-3), a_1=sine(9.1, 20.0)), 1.0)
     assert not np.any(scans["status"])
 
@@ -103,27 +103,27 @@ def test_a_smaller_range_clips_earlier_and_resolves_more():
     assert info["resolution"] == pytest.approx(2 * 0.2 / 2**16 * 5.0)
 
 
-def test_a_range_the_board_does_not_have_is_refused():
+def test_a_range_that_the_board_lacks_is_rejected():
     with pytest.raises(
         ConfigError, match=r"laser\.adc_range_v must be one of 10, 5, 2, 1, 0\.5, 0\.2, 0\.1 V, got 3 V"
     ):
         from_flat(RigConfig(), {"instruments.laser.adc_range_v": 3})
 
 
-def test_more_conversions_than_the_board_can_do_are_refused():
+def test_a_rate_beyond_the_conversions_of_the_board_is_rejected():
     Chain(configured(250_000))
     slow_board = configured(100_000, adc__aggregate_limit_hz=250e3)
     with pytest.raises(ConfigError, match=r"daq\.rate_hz must be <= 62500 Hz: 4 channels .* got 100000 Hz"):
         Chain(slow_board)
 
 
-def test_inverted_wiring_turns_the_sign():
+def test_inverted_wiring_changes_the_sign():
     straight = measured(Chain(configured(exact=True)), AnalyticMotion(x_b=sine(9.1, 1e-3)), 0.2)
     turned = measured(Chain(configured(exact=True, base__inverted=True)), AnalyticMotion(x_b=sine(9.1, 1e-3)), 0.2)
     np.testing.assert_allclose(turned["base"], -straight["base"], atol=1e-8)
 
 
-def test_exact_means_exact():
+def test_the_exact_instruments_of_the_kit_have_no_error():
     """Every error of the instruments has a switch in the kit, on which the other tests rely."""
     tolerances = [name for name, value in EXACT.items() if value == 0]
     assert len(tolerances) == 18

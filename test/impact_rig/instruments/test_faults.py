@@ -45,7 +45,7 @@ def outside(scans):
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FAULT_KINDS if kind not in ("lost_block", "clock_drift")])
-def test_a_fault_acts_on_its_scans_of_its_channel_only(kind):
+def test_a_fault_acts_only_on_its_channel_and_its_scans(kind):
     faulty, sound = with_fault(kind, value=1e-3, rate_hz=500.0)
     assert not np.array_equal(faulty["laser"][INSIDE], sound["laser"][INSIDE])
     np.testing.assert_array_equal(outside(faulty), outside(sound))
@@ -53,7 +53,7 @@ def test_a_fault_acts_on_its_scans_of_its_channel_only(kind):
         np.testing.assert_array_equal(faulty[name], sound[name])
 
 
-def test_dropout_reads_zero_volts():
+def test_a_dropout_reads_zero_volts():
     faulty, _ = with_fault("dropout")
     # 0 V is 10 mm of distance too few; the converter still makes its noise of 0.28 mV
     np.testing.assert_allclose(faulty["laser"][INSIDE], 10e-3, atol=5 * 280e-6 / 500)
@@ -61,12 +61,12 @@ def test_dropout_reads_zero_volts():
     assert not np.any(faulty["status"])
 
 
-def test_stuck_repeats_the_last_reading():
+def test_a_stuck_channel_repeats_its_last_reading():
     faulty, sound = with_fault("stuck")
     assert set(faulty["laser"][INSIDE]) == {sound["laser"][START - 1]}
 
 
-def test_stuck_goes_on_over_calls():
+def test_a_stuck_channel_stays_stuck_across_calls():
     chain = Chain(configured(10_000))
     chain.inject(Fault(kind="stuck", channel="base", start_sample=150))
     scans = measured(chain, MOTION, 0.1, ticks_per_call=1)
@@ -74,18 +74,18 @@ def test_stuck_goes_on_over_calls():
 
 
 @pytest.mark.parametrize(("channel", "value", "tolerance"), [("laser", 1e-3, 2e-6), ("base", -2e-4, 2e-6)])
-def test_offset_step_adds_its_value(channel, value, tolerance):
+def test_an_offset_step_adds_its_value(channel, value, tolerance):
     faulty, sound = with_fault("offset_step", channel, value=value)
     difference = (faulty[channel] - sound[channel])[INSIDE]
     np.testing.assert_allclose(difference, value, atol=tolerance)
 
 
-def test_gain_error_stretches():
+def test_a_gain_error_scales_the_readings():
     faulty, sound = with_fault("gain_error", "base", value=0.05)
     np.testing.assert_allclose(faulty["base"][INSIDE], 1.05 * sound["base"][INSIDE], atol=2e-6)
 
 
-def test_added_noise_has_its_rms_and_its_seed():
+def test_added_noise_has_the_given_rms_and_seed():
     faulty, sound = with_fault("added_noise", "base", value=1e-4, seed=1)
     noise = (faulty["base"] - sound["base"])[INSIDE]
     assert np.std(noise) == pytest.approx(1e-4, rel=4.5 / np.sqrt(2 * DURATION))
@@ -95,7 +95,7 @@ def test_added_noise_has_its_rms_and_its_seed():
     assert not np.array_equal(faulty["base"], other["base"])
 
 
-def test_spike_train_has_its_rate_and_size():
+def test_a_spike_train_has_the_given_rate_and_size():
     config = configured(10_000)
     chain = Chain(config)
     chain.inject(Fault(kind="spike_train", channel="base", value=2e-3, rate_hz=50.0, seed=5))
@@ -106,7 +106,7 @@ def test_spike_train_has_its_rate_and_size():
     assert np.sum(spikes[hit] > 0) == pytest.approx(np.sum(hit) / 2, abs=4.5 * np.sqrt(np.sum(hit)) / 2)
 
 
-def test_saturation_limits_and_flags():
+def test_saturation_limits_and_flags_the_readings():
     faulty, sound = with_fault("saturation", "laser", value=2e-3)
     assert np.max(np.abs(faulty["laser"][INSIDE])) < 2.01e-3
     beyond = np.abs(sound["laser"][INSIDE]) > 2.01e-3
@@ -115,7 +115,7 @@ def test_saturation_limits_and_flags():
     assert not np.any(outside(faulty)["status"])
 
 
-def test_faults_compose():
+def test_simultaneous_faults_combine():
     config = configured(10_000)
     chain = Chain(config)
     for value in (1e-4, 2e-4):
@@ -124,7 +124,7 @@ def test_faults_compose():
     np.testing.assert_allclose(difference[INSIDE], 3e-4, atol=2e-6)
 
 
-def test_ideal_instruments_can_fail_too():
+def test_ideal_instruments_can_have_faults():
     config = from_flat(configured(10_000), {"instruments.ideal": True})
     chain = Chain(config)
     chain.inject(Fault(kind="offset_step", channel="laser", start_sample=START, samples=DURATION, value=1e-3))
@@ -133,20 +133,20 @@ def test_ideal_instruments_can_fail_too():
     assert not np.any(outside(difference))
 
 
-def test_lost_blocks_are_counted_by_the_board():
+def test_the_board_counts_lost_blocks():
     chain = Chain(configured(10_000))
     chain.inject(Fault(kind="lost_block", start_sample=250, samples=100))
     assert [first for first in range(0, 600, 100) if chain.block_lost(first, 100)] == [200, 300]
 
 
-def test_clock_drift_adds_up():
+def test_clock_drift_accumulates():
     chain = Chain(configured(25_600))
     chain.inject(Fault(kind="clock_drift", start_sample=256, samples=512, value=30.0))
     chain.inject(Fault(kind="clock_drift", start_sample=512, value=-10.0))
     assert [chain.clock_ppm(tick) for tick in range(5)] == [0.0, 30.0, 20.0, -10.0, -10.0]
 
 
-def test_a_scan_clock_never_stands_nor_runs_backwards():
+def test_the_scan_clock_never_stops_or_runs_backwards():
     """A drift of -1e6 ppm would stop the clock, and a larger one give ticks of negative length."""
     chain = Chain(configured(10_000))
     for _ in range(3):
@@ -154,7 +154,7 @@ def test_a_scan_clock_never_stands_nor_runs_backwards():
     assert chain.clock_ppm(0) == -5e5
 
 
-def test_starts_and_ends_are_written_down_once_each():
+def test_the_start_and_the_end_of_a_fault_are_logged_once():
     chain = Chain(configured(10_000))
     first = chain.inject(Fault(kind="stuck", channel="base", start_sample=150, samples=100))
     second = chain.inject(Fault(kind="dropout", channel="laser", start_sample=99, value=0.5))
@@ -171,7 +171,7 @@ def test_starts_and_ends_are_written_down_once_each():
     np.testing.assert_allclose(rows["duration"], [0.0, 0.01, 0.01, 0.0])  # as planned; 0 = until it is cleared
 
 
-def test_a_fault_without_end_says_so_and_can_be_cleared():
+def test_a_fault_without_end_is_reported_as_such_and_can_be_cleared():
     chain = Chain(configured(10_000))
     number = chain.inject(Fault(kind="dropout", channel="laser", start_sample=100))
     assert chain.fault_rows(100, 100)["duration"][0] == 0
@@ -188,7 +188,7 @@ def test_a_fault_without_end_says_so_and_can_be_cleared():
     assert number == 1
 
 
-def test_the_past_cannot_be_changed():
+def test_a_fault_cannot_be_injected_into_the_past():
     chain = Chain(configured(10_000))
     chain.acquire(MOTION, 0, 5)
     with pytest.raises(CommandError, match="must start at scan >= 500, got 499"):
@@ -209,7 +209,7 @@ def test_the_past_cannot_be_changed():
         ({"kind": "clock_drift", "value": -1e6}, "value of clock_drift must be within 500000 ppm, got -1000000.0"),
     ],
 )
-def test_nonsense_is_refused_by_name(fault, message):
+def test_an_invalid_fault_is_rejected_by_name(fault, message):
     with pytest.raises(CommandError, match=message):
         Fault(**fault)
 
@@ -217,12 +217,12 @@ def test_nonsense_is_refused_by_name(fault, message):
 @given(
     st.integers(0, 10**9), st.integers(0, 10**9), st.integers(100, 250_000), st.floats(-1e3, 1e3), st.floats(1e-3, 1e5)
 )
-def test_a_line_of_text_says_the_same_fault(start, samples, scan_rate, value, rate):
+def test_a_line_of_text_describes_the_same_fault(start, samples, scan_rate, value, rate):
     fault = Fault(kind="spike_train", channel="base", start_sample=start, samples=samples, value=value, rate_hz=rate)
     assert Fault.from_line(fault.line(scan_rate), scan_rate) == fault
 
 
-def test_planned_faults_come_with_the_configuration():
+def test_the_configuration_contains_the_planned_faults():
     line = "offset_step channel=laser start_s=0.03 duration_s=0.04 value=1e-3"
     config = from_flat(configured(10_000), {"instruments.faults.planned": [line]})
     faulty, sound = measured(Chain(config), MOTION, 0.1), measured(Chain(configured(10_000)), MOTION, 0.1)
@@ -241,11 +241,11 @@ def test_planned_faults_come_with_the_configuration():
         ("stuck channel=laser seed=inf", r"seed of a fault must be finite and >= 0, got inf"),
     ],
 )
-def test_a_badly_planned_fault_is_refused_by_name(line, message):
+def test_an_invalid_planned_fault_is_rejected_by_name(line, message):
     with pytest.raises(ConfigError, match=message):
         from_flat(RigConfig(), {"instruments.faults.planned": [line]})
 
 
-def test_planned_values_arrive():
+def test_the_values_of_a_planned_fault_are_parsed():
     fault = Fault.from_line("spike_train channel=base start_s=1 duration_s=2 value=-3e-4 seed=5 rate_hz=7", 500)
     assert attrs.astuple(fault) == ("spike_train", "base", 500, 1000, -3e-4, 5, 7.0)

@@ -38,7 +38,7 @@ def expected_spectrum(sensor, adc, rate_hz, frequency_hz):
 
 
 @pytest.mark.parametrize("rate_hz", [10_000, 50_000])
-def test_variance_and_spectrum_are_the_specification(rate_hz):
+def test_variance_and_spectrum_of_the_noise_match_the_specification(rate_hz):
     # noise is specified ahead of the converter: a gain error, which it goes through, would be seen
     config = configured(rate_hz, laser__resolution_m=0, accelerometer__gain_tolerance=0)
     adc = config.instruments.adc
@@ -58,7 +58,7 @@ def test_variance_and_spectrum_are_the_specification(rate_hz):
             assert np.mean(band) == pytest.approx(1.0, abs=slack + 0.01), sensor.name
 
 
-def test_channels_do_not_share_their_noise():
+def test_noise_of_different_channels_is_uncorrelated():
     scans = measured(Chain(configured(10_000, laser__resolution_m=0)), AnalyticMotion(), 10.0)
     records = np.stack([scans[name] for name in CHANNELS])
     correlation = np.corrcoef(records) - np.eye(len(CHANNELS))
@@ -67,7 +67,7 @@ def test_channels_do_not_share_their_noise():
     )  # the slowest noise has a twelfth of the freedom
 
 
-def test_published_noise_is_the_noise():
+def test_the_published_noise_is_that_of_the_readings():
     config = configured(10_000)
     chain = Chain(config)
     # a slow ramp over many steps of the laser's output stage and of the converter
@@ -80,7 +80,7 @@ def test_published_noise_is_the_noise():
 
 
 @pytest.mark.parametrize(("range_v", "noise_v"), [(10.0, 280e-6), (1.0, 28e-6), (0.1, 2.8e-6)])
-def test_converter_noise_scales_with_its_range(range_v, noise_v):
+def test_the_noise_of_the_converter_scales_with_its_range(range_v, noise_v):
     config = configured(10_000, current__noise_a_rms=0, current__adc_range_v=range_v, adc__bits=24)
     scans = measured(Chain(config), AnalyticMotion(), 2.0)
     slack = SIGMAS / math.sqrt(2 * len(scans))

@@ -24,7 +24,7 @@ from kits.measured import measured
 from kits.plain_chain import digests
 
 
-def test_plain_python_gives_the_bits_of_compiled_code():
+def test_plain_python_yields_the_bits_of_compiled_code():
     program = Path(__file__).parents[2] / "kits" / "plain_chain.py"
     plain = subprocess.run(
         [sys.executable, "-W", "error", str(program)],

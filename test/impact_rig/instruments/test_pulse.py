@@ -37,7 +37,7 @@ def dense(start_s: float, end_s: float) -> np.ndarray:
     [(0.0123456, 42.1e-6), (0.01999, 36.7e-6), (0.0250000, 100e-6)],
     ids=["inside a tick", "across a tick", "at a scan"],
 )
-def test_pulse_agrees_with_the_convolution_of_the_force(rate_hz, start_s, duration_s):
+def test_a_pulse_agrees_with_the_convolution_of_the_force(rate_hz, start_s, duration_s):
     config = configured(rate_hz, exact=True)
     force = hertz_pulse(start_s, duration_s, 60.5)
     motion = AnalyticMotion(steps_of(start_s, duration_s), a_1=lambda t: force(t) / MASS_KG)
@@ -83,7 +83,7 @@ def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
     assert max(worst) < OF_PEAK, worst
 
 
-def test_pulse_keeps_its_impulse_whatever_the_rate():
+def test_the_area_of_a_pulse_does_not_depend_on_the_rate():
     """The area of a pulse is the change of the structure's velocity, reduced by the 1 Hz high-pass."""
     force = hertz_pulse(0.0123, 42e-6, 60.5)
     motion = AnalyticMotion(steps_of(0.0123, 42e-6), a_1=lambda t: force(t) / MASS_KG)
@@ -95,7 +95,7 @@ def test_pulse_keeps_its_impulse_whatever_the_rate():
     assert np.sum(scans["accelerometer"][within]) / 200_000 == pytest.approx(velocity * left, rel=3e-3)
 
 
-def test_instantaneous_impact_gives_the_impulse_response():
+def test_an_instantaneous_impact_yields_the_impulse_response():
     impacts = np.array([(1, 0.00234, 1, 2e-3, 0.0), (2, 0.00234, -1, 2e-3, 0.0)], dtype=IMPACT)
     motion = AnalyticMotion((0.01234, 0.02234), impacts)
     config = configured(50_000, exact=True)

@@ -48,7 +48,7 @@ def test_an_optional_instrument_is_off_and_costs_nothing():
 
 
 @pytest.mark.parametrize("instrument", INSTRUMENTS.values(), ids=INSTRUMENTS)
-def test_an_instrument_says_what_it_is(instrument):
+def test_an_instrument_describes_its_channel_and_its_faults(instrument):
     assert Column(instrument.name, instrument.unit, instrument.doc) in COLUMNS
     assert instrument.doc.endswith(".")
     assert instrument.faults <= CHANNEL_KINDS
@@ -60,7 +60,7 @@ def test_an_instrument_says_what_it_is(instrument):
 
 
 @pytest.mark.parametrize("name", INSTRUMENTS)
-def test_its_channel_reads_a_known_sine(name):
+def test_the_channel_of_an_instrument_reads_a_known_sine(name):
     check = {one.channel: one for one in check_known_input(from_flat(RigConfig(), ALL))}[name]
     assert check.ok, check
 
@@ -76,7 +76,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
 
 @pytest.mark.ros
 @pytest.mark.parametrize("name", INSTRUMENTS)
-def test_its_channel_is_recorded(recorded, name):
+def test_the_channel_of_an_instrument_is_recorded(recorded, name):
     assert channels_of(recorded) == tuple(INSTRUMENTS)
     assert np.isfinite(recorded[name]).all()
     assert recorded[name].any()

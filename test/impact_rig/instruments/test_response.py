@@ -31,7 +31,7 @@ def sines(frequency_hz):
 
 @pytest.mark.parametrize("anti_alias", ["none", "butterworth"])
 @pytest.mark.parametrize(("rate_hz", "frequency_hz"), [(10_000, 9.1), (50_000, 200.0), (10_000, 200.0), (777, 50.0)])
-def test_frequency_response_is_the_transfer_function(rate_hz, frequency_hz, anti_alias):
+def test_the_frequency_response_of_a_channel_is_its_transfer_function(rate_hz, frequency_hz, anti_alias):
     config = configured(rate_hz, exact=True, adc__anti_alias=anti_alias)
     chain = Chain(config)
     scans = measured(chain, sines(frequency_hz), 5.0)[-3 * rate_hz :]  # 2 s: the 1 Hz high-pass has settled to 3e-6
@@ -43,7 +43,7 @@ def test_frequency_response_is_the_transfer_function(rate_hz, frequency_hz, anti
 
 
 @pytest.mark.parametrize("rate_hz", [10_000, 50_000, 250_000, 12_345])
-def test_skew_is_measured_back_from_a_sine(rate_hz):
+def test_the_skew_can_be_measured_with_a_sine(rate_hz):
     config = configured(rate_hz, exact=True)
     chain = Chain(config)
     scans = measured(chain, sines(20.0), 3.0)[-rate_hz:]
@@ -56,11 +56,11 @@ def test_skew_is_measured_back_from_a_sine(rate_hz):
         assert float(chain.info()[index]["skew"]) == pytest.approx(index * interval, rel=1e-12)
 
 
-def test_simultaneous_converter_has_no_skew():
+def test_a_simultaneous_converter_has_no_skew():
     assert not np.any(Chain(configured(adc__multiplexed=False)).info()["skew"])
 
 
-def test_laser_lags_a_step_by_its_time_constant():
+def test_the_laser_lags_a_step_by_its_time_constant():
     step = AnalyticMotion((0.1,), x_1=lambda t: np.where(t >= 0.1, 4e-3, -1e-3))
     config = configured(50_000, exact=True)
     scans = measured(Chain(config), step, 0.12)
@@ -69,7 +69,7 @@ def test_laser_lags_a_step_by_its_time_constant():
     np.testing.assert_allclose(scans["laser"], expected, atol=1e-8)
 
 
-def test_base_sensor_answers_a_step_as_two_poles():
+def test_the_step_response_of_the_base_sensor_has_two_poles():
     step = AnalyticMotion((0.1,), x_b=lambda t: np.where(t >= 0.1, 1e-3, 0.0))
     scans = measured(Chain(configured(20_000, exact=True, adc__multiplexed=False)), step, 0.12)
     since = np.maximum(scans["time"] - 0.1, 0.0)
@@ -86,7 +86,7 @@ def test_displacements_start_settled_and_the_accelerometer_at_rest():
     assert scans["accelerometer"][100] == pytest.approx(19.0 * np.exp(-2 * np.pi * 0.01), rel=0.01)
 
 
-def test_anti_alias_filter_removes_what_would_fold():
+def test_the_anti_alias_filter_removes_what_would_alias():
     """The 25 kHz ringing after a blow would alias at 10 kS/s: a corner at 1 kHz removes it."""
     quiet = {}
     for choice in ("none", "butterworth"):

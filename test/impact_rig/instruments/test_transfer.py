@@ -36,7 +36,7 @@ def chains():
 
 
 @pytest.mark.parametrize("chain", chains())
-def test_modes_sum_up_to_the_transfer_function(chain):
+def test_the_sum_of_the_modes_is_the_transfer_function(chain):
     modes = chain.modes()
     s = 2j * np.pi * FREQUENCIES[:, None]
     pairs = modes.poles.imag > 0
@@ -46,7 +46,7 @@ def test_modes_sum_up_to_the_transfer_function(chain):
     np.testing.assert_allclose(total, chain.response(FREQUENCIES), rtol=1e-8, atol=1e-10)
 
 
-def test_butterworth_and_lag_are_what_scipy_says():
+def test_butterworth_and_lag_agree_with_scipy():
     for order in (1, 2, 3, 8):
         b, a = signal.butter(order, 2 * np.pi * 1e3, analog=True)
         _, expected = signal.freqs(b, a, 2 * np.pi * FREQUENCIES)
@@ -55,20 +55,20 @@ def test_butterworth_and_lag_are_what_scipy_says():
     np.testing.assert_allclose(transfer.lag(0.7e-3).response(FREQUENCIES), expected, rtol=1e-12)
 
 
-def test_resonance_peaks_with_its_quality():
+def test_the_peak_of_a_resonance_is_its_quality_factor():
     sensor = transfer.resonance(25e3, 30.0)
     assert abs(sensor.response(25e3)) == pytest.approx(30.0)
     assert abs(sensor.response(1.0)) == pytest.approx(1.0, rel=1e-8)
 
 
-def test_equal_poles_are_no_trouble():
+def test_equal_poles_are_handled():
     twice = transfer.lag(1e-3) * transfer.lag(1e-3)
     modes = twice.modes()
     impulse = np.sum((modes.residues * np.exp(modes.poles * 1e-3)).real)
     assert impulse == pytest.approx(1e-3 / 1e-3**2 * np.exp(-1.0), rel=1e-4)  # t/τ² e^{-t/τ} at t = τ
 
 
-def test_delay_is_the_slope_of_the_phase():
+def test_the_delay_is_the_slope_of_the_phase():
     for sensor in sensors(configured()):
         low = sensor.low_pass
         slope = -np.angle(low.response(0.1)) / (2 * np.pi * 0.1)
@@ -77,7 +77,7 @@ def test_delay_is_the_slope_of_the_phase():
 
 @pytest.mark.parametrize("scale", [1e-4, 0.05, 0.3, 0.499, 0.501, 1.9, 2.1, 15.0, 80.0])
 @pytest.mark.parametrize("direction", [-1.0, -0.02 + 1j, -0.7 + 0.7j])
-def test_a_mode_answers_a_polynomial_as_its_integral_says(scale, direction):
+def test_the_response_of_a_mode_to_a_polynomial_is_the_integral(scale, direction):
     """z(t) = e^{pt} z_0 + ∫ e^{p (t − s)} u(s) ds at five conversions and at the end, for any p h."""
     length = 1e-4
     pole = np.array([scale * direction / length], complex)

@@ -108,7 +108,7 @@ def test_a_cache_of_numba_is_neither_cleaned_up_nor_read(tmp_path: Path) -> None
 
 
 @needs_library
-def test_a_law_from_elsewhere_runs_compiled_by_numba_or_as_plain_python() -> None:
+def test_a_law_of_another_package_runs_compiled_by_numba_or_as_plain_python() -> None:
     """The same force as in the package gives the same bits, compiled or as plain Python."""
     _, ours, _ = run(ms=500)
     assert run(law=OWN_LAW, ms=500)[:2] == ["library", ours]
@@ -134,7 +134,7 @@ def test_a_law_that_raises_ends_the_run(found: str) -> None:
 
 
 @needs_library
-def test_a_library_of_other_sources_is_not_loaded_and_says_so(
+def test_a_library_of_other_sources_is_not_loaded_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     built = kernels.library()
@@ -147,13 +147,13 @@ def test_a_library_of_other_sources_is_not_loaded_and_says_so(
 
 @needs_library
 @pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.999])
-def test_a_library_that_was_cut_off_costs_one_line(tmp_path: Path, kept: float) -> None:
+def test_a_truncated_library_is_reported_in_one_line(tmp_path: Path, kept: float) -> None:
     """The system's loader maps pages that do not exist, so the process would end with SIGBUS."""
     whole = next(kernels.PACKAGE.glob("kernels/_library*.so")).read_bytes()
     end_with_one_line(tmp_path, whole[: int(kept * len(whole))])
 
 
-def test_a_library_that_cannot_be_loaded_costs_one_line(tmp_path: Path) -> None:
+def test_a_library_that_cannot_be_loaded_is_reported_in_one_line(tmp_path: Path) -> None:
     """A library for another machine must not prevent the import of the package."""
     end_with_one_line(tmp_path, b"\x7fELF, and no more")
 
@@ -172,7 +172,7 @@ def end_with_one_line(tmp_path: Path, library: bytes) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_the_cpu_follows_from_the_machine() -> None:
+def test_the_target_cpu_follows_from_the_machine() -> None:
     assert [build.cpu(machine) for machine in ("x86_64", "aarch64", "arm64")] == ["x86-64", "generic", "generic"]
     with pytest.raises(
         SystemExit, match="compiled for x86_64, aarch64, arm64, not for riscv64: or set IMPACT_RIG_KERNELS="
@@ -194,14 +194,14 @@ def test_the_cpu_follows_from_the_machine() -> None:
         (lambda: event_loop.run((np.zeros(1, STATE),) * 4, 1, 1, 1, 1, 1), "array 0 must hold"),
     ],
 )
-def test_what_was_not_built_is_refused(call: object, words: str) -> None:
+def test_a_kernel_rejects_types_that_it_was_not_compiled_for(call: object, words: str) -> None:
     """No kernel is called with a type it was not compiled for: it would write to wrong addresses."""
     with pytest.raises((TypeError, AttributeError), match=words):
         call()
 
 
 @needs_library
-def test_an_array_that_is_not_in_c_order_is_refused() -> None:
+def test_an_array_that_is_not_in_c_order_is_rejected() -> None:
     with pytest.raises(ValueError, match="not C-contiguous"):
         fill_lines(np.zeros(2, SEGMENT), np.zeros(6)[::2], 1.0)
 
@@ -212,7 +212,7 @@ def test_kernels_are_declared_with_types_that_fit_their_functions() -> None:
 
 
 @pytest.mark.parametrize("asked", ["quick", "LIBRARY"])
-def test_an_unknown_way_to_run_kernels_is_named(asked: str) -> None:
+def test_an_unknown_way_to_run_kernels_is_rejected_by_name(asked: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", "import impact_rig.kernels"],
         env=os.environ | {kernels.VARIABLE: asked}, capture_output=True, text=True, check=False,
@@ -246,14 +246,14 @@ def test_a_c_program_simulates_the_same_bits(tmp_path: Path) -> None:
     assert float.fromhex(x_1) == simulation._state.y[X1]
 
 
-def test_the_words_of_the_header_are_those_of_the_kernels() -> None:
+def test_the_header_has_the_constants_of_the_kernels() -> None:
     for words in header.CONSTANTS.values():
         module = event_loop if hasattr(event_loop, words[-1]) else state
         assert [getattr(module, word) for word in words] == list(range(len(words)))
 
 
 @needs_library
-def test_the_header_says_of_each_record_what_its_own_fields_mean() -> None:
+def test_the_header_describes_the_fields_of_each_record_separately() -> None:
     """Each field has the description of its own record, even if another record has a field of the same name."""
     text = (Path(kernels.__file__).parent / "impact_rig.h").read_text(encoding="utf-8")
     flight = text.partition("} ir_flight;")[0].rpartition("typedef struct")[2]

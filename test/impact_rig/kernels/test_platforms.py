@@ -79,7 +79,7 @@ def test_assembly_builds_the_library_without_numba(
     assert len(names) > 20
 
 
-def test_a_build_that_is_not_possible_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_impossible_build_names_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build, "NUMBA", "1.2.3")
     with pytest.raises(
         SystemExit, match=r"Numba 1\.2\.3, found: .*pip install numba==1\.2\.3.*source distribution.*=jit"
@@ -95,7 +95,7 @@ def test_a_build_that_is_not_possible_names_the_remedy(tmp_path: Path, monkeypat
     assert list(tmp_path.glob("*.so")) == []
 
 
-def test_webassembly_gives_the_committed_bits(translated: Path, tmp_path: Path) -> None:
+def test_webassembly_yields_the_committed_bits(translated: Path, tmp_path: Path) -> None:
     """Short runs, with their kernels in wasmtime; `make portability` compares all runs."""
     pytest.importorskip("wasmtime", reason="pip install wasmtime")
     pytest.importorskip("ziglang", reason="pip install ziglang")

@@ -48,20 +48,18 @@ def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
     return list(heard.messages)
 
 
-def test_a_block_alone_is_acknowledged_at_once(client: Client) -> None:
+def test_a_single_block_is_acknowledged_at_once(client: Client) -> None:
     told = _told(client, 1)
     assert [(header.frame_id, nanoseconds(header.stamp)) for header in told] == [("rig", 0)]
 
 
-def test_blocks_of_a_burst_are_acknowledged_together_and_the_last_one_soon(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_blocks_of_a_burst_are_acknowledged_together_and_soon(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("impact_rig.nodes.acknowledgements.ALONE_S", 1.0)  # one burst, however busy the machine is
     stamps = [nanoseconds(header.stamp) for header in _told(client, 3 * MOST + 3)]
     assert stamps == [0, MOST, 2 * MOST, 3 * MOST, 3 * MOST + 2]
 
 
-def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_another(client: Client) -> None:
+def test_blocks_in_real_time_are_acknowledged_together_even_without_a_further_block(client: Client) -> None:
     node = host_rig(client, time__peers=[])
     node.offer(topics.ACK)
     caught_up: list[bool] = []
@@ -81,5 +79,5 @@ def test_blocks_of_real_time_are_acknowledged_together_and_the_last_one_without_
     assert [nanoseconds(header.stamp) for header in heard.messages] == [now + MOST, 1]
 
 
-def test_what_is_not_safe_is_not_acknowledged(client: Client) -> None:
+def test_blocks_that_are_not_yet_safe_are_not_acknowledged(client: Client) -> None:
     assert _told(client, MOST + 1, may_send=False) == []

@@ -39,7 +39,7 @@ from impact_rig.nodes.analysis_node import AnalysisNode
 pytestmark = pytest.mark.ros
 
 
-def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
+def test_the_rows_of_the_node_equal_those_of_the_tracker_bit_for_bit(client: Client) -> None:
     client.host(AnalysisNode, parameter_overrides=ros_parameters({"gap_m": 0.006}))
     host_rig(client, time__peers=["analysis", "client"])
     client.wait_active("rig", "analysis")
@@ -68,7 +68,7 @@ def test_rows_are_those_of_the_tracker_bit_for_bit(client: Client) -> None:
 
 
 @pytest.mark.parametrize("last_s", [math.nan, math.inf, 1e300])
-def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: Client, last_s: float) -> None:
+def test_an_invalid_time_yields_a_status_and_the_block_is_acknowledged(client: Client, last_s: float) -> None:
     """A rig that waits for the analysis must not stand still because of invalid scans."""
     node = client.host(AnalysisNode)
     client.wait_active("analysis")
@@ -84,9 +84,7 @@ def test_a_time_that_is_none_is_a_status_and_the_block_is_acknowledged(client: C
     assert "time must be" in node.refusals.last["daq/scan"]
 
 
-def test_blocks_are_acknowledged_after_a_deactivation_that_failed(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_blocks_are_acknowledged_after_a_failed_deactivation(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks in real time are acknowledged again, although the timer ended with the failed deactivation."""
     client.host(AnalysisNode)
     host_rig(client, "realtime")
@@ -101,7 +99,7 @@ def test_blocks_are_acknowledged_after_a_deactivation_that_failed(
     client.wait_until(lambda: len(acknowledged) > 2, "acknowledgements")
 
 
-def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
+def test_labels_are_set_by_remarks_or_by_a_parameter(client: Client) -> None:
     client.host(AnalysisNode)
     host_rig(client, time__peers=["analysis"])
     client.wait_active("rig", "analysis")
@@ -124,7 +122,7 @@ def test_labels_come_as_remarks_or_as_a_parameter(client: Client) -> None:
 
 
 @pytest.mark.parametrize("label", [GapLabel(0.1 + 0.2, 0), GapLabel(0.0, 5), GapLabel(1e-3, 2**60)])
-def test_a_label_reads_back_exactly(label: GapLabel) -> None:
+def test_the_parameter_of_a_label_reads_back_exactly(label: GapLabel) -> None:
     assert parse_label(label.text()) == label
 
 
@@ -132,11 +130,11 @@ def test_a_label_reads_back_exactly(label: GapLabel) -> None:
     "remark",
     ["", "gap_m=6 at 0", "gap_m=-1 at 0", "gap_m=0.006", "gap_m=e at 1", "gap_m=0.1 at -5", "gap_m=0.1 at " + "9" * 30],
 )
-def test_other_remarks_are_no_labels(remark: str) -> None:
+def test_other_remarks_are_not_labels(remark: str) -> None:
     assert parse_label(remark) is None
 
 
-def test_an_unknown_gap_is_a_label() -> None:
+def test_a_label_can_state_an_unknown_gap() -> None:
     label = parse_label(GapLabel(math.nan, 7).text())
     assert label is not None
     assert math.isnan(label.gap_m)

@@ -67,7 +67,7 @@ def default() -> tuple[list[Block], dict[str, list]]:
     return monitored()
 
 
-def test_every_monitor_comes_at_its_rate_with_stamps_of_scans_and_a_frame(default) -> None:
+def test_every_monitor_has_its_rate_stamps_of_scans_and_a_frame(default) -> None:
     blocks, found = default
     stamps = [block.scan.stamp_ns for block in blocks][::2]
     assert set(found) == {"accelerometer", "laser", "base_displacement", "truth/joint_states"}
@@ -84,7 +84,7 @@ def test_frames_take_the_prefix_of_a_namespace() -> None:
     }  # fmt: skip
 
 
-def test_monitor_values_are_the_scans_around_their_stamp_low_passed(default) -> None:
+def test_monitor_values_are_low_passed_scans_around_their_stamp(default) -> None:
     blocks, found = default
     rows = np.concatenate([block.scan.rows for block in blocks])
     weights, half = taps(200), HALF_PERIODS * 200
@@ -95,7 +95,7 @@ def test_monitor_values_are_the_scans_around_their_stamp_low_passed(default) -> 
         assert found["base_displacement"][k].vector.x == pytest.approx((part["base"] * weights).sum(), rel=1e-12)
 
 
-def test_a_monitor_passes_the_vibration_and_folds_nothing_into_it() -> None:
+def test_a_monitor_passes_the_vibration_without_aliasing() -> None:
     """At 50 Hz, a vibration of 9.1 Hz keeps amplitude and phase; 41 Hz and chatter at 109 Hz must not alias to 9 Hz."""
     time = np.arange(20_000) / 10_000
     rows = np.zeros(20_000, dtype=[("laser", "<f8"), ("status", "u1")])
@@ -111,7 +111,7 @@ def test_a_monitor_passes_the_vibration_and_folds_nothing_into_it() -> None:
         assert np.abs(shown(np.sin(2 * np.pi * unwanted * time + 0.3))).max() < 0.003
 
 
-def test_a_filter_that_is_cut_at_the_beginning_weighs_what_there_is() -> None:
+def test_a_filter_at_the_beginning_of_a_record_averages_the_scans_that_exist() -> None:
     rows = np.zeros(400, dtype=[("laser", "<f8"), ("status", "u1")])
     rows["laser"] = 3.0
     found = AntiAlias(["laser"], 20).feed(0, rows)
@@ -119,7 +119,7 @@ def test_a_filter_that_is_cut_at_the_beginning_weighs_what_there_is() -> None:
     assert found[0].sample == 0
 
 
-def test_the_filter_does_not_depend_on_the_cut_into_blocks_and_begins_anew_after_a_reset() -> None:
+def test_the_filter_does_not_depend_on_the_blocks_and_restarts_after_a_reset() -> None:
     rng = np.random.default_rng(1)
     rows = np.zeros(900, dtype=[("laser", "<f8"), ("status", "u1")])
     rows["laser"] = rng.normal(size=900)
@@ -139,7 +139,7 @@ def test_the_filter_does_not_depend_on_the_cut_into_blocks_and_begins_anew_after
     assert run(stream, 900) == whole
 
 
-def test_imu_says_what_it_does_not_measure(default) -> None:
+def test_the_imu_message_marks_what_it_does_not_measure(default) -> None:
     message = default[1]["accelerometer"][0]
     assert message.orientation_covariance[0] == -1
     assert message.angular_velocity_covariance[0] == -1
@@ -147,7 +147,7 @@ def test_imu_says_what_it_does_not_measure(default) -> None:
     assert min(message.linear_acceleration_covariance[4], message.linear_acceleration_covariance[8]) >= 1e6
 
 
-def test_laser_out_of_range_is_infinite_towards_its_side() -> None:
+def test_a_laser_out_of_range_reads_infinity_of_the_right_sign() -> None:
     """Without the sphere and at twice the current the superior base leaves this laser's +-4 mm."""
     blocks, found = monitored(
         drive__amplitude=1.2,
@@ -177,7 +177,7 @@ def test_joint_states_carry_the_contact_force_as_effort() -> None:
         assert message.effort[2] == row["force_left"] - row["force_right"] == -message.effort[1]
 
 
-def test_joint_states_serve_a_topic_based_hardware_interface_as_the_page_says(default) -> None:
+def test_joint_states_serve_a_topic_based_hardware_interface_as_documented(default) -> None:
     page = (Path(__file__).parents[3] / "docs" / "how-to" / "ros2_control.md").read_text(encoding="utf-8")
     (snippet,) = re.findall(r"```xml\n(.*?)```", page, flags=re.DOTALL)
     robot = ET.fromstring(snippet)
@@ -208,7 +208,7 @@ class Raw:
         return self.data
 
 
-def beside_scans(
+def scans_and_monitors(
     monkeypatch: pytest.MonkeyPatch, since: int = 0, altered: Callable[[Topic, bytes], bytes] = lambda _, data: data
 ) -> list[tuple[str, Any]]:
     """Return the output of a rig in two seconds: journal, scans, and monitors from a given block on."""
@@ -237,7 +237,7 @@ def beside_scans(
     ],
     ids=["untouched", "accelerometer", "laser", "base"],
 )
-def test_verify_finds_a_reading_that_its_scans_do_not_give(
+def test_verify_finds_a_monitor_reading_that_contradicts_its_scans(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, since: int, name: str, form: str, at: int, what: str
 ) -> None:
     seen = 0
@@ -251,7 +251,7 @@ def test_verify_finds_a_reading_that_its_scans_do_not_give(
             struct.pack_into(form, changed, len(data) + at, np.nextafter(kind(value), kind(np.inf)))  # the last bit
         return bytes(changed)
 
-    found = beside_scans(monkeypatch, since, altered)
+    found = scans_and_monitors(monkeypatch, since, altered)
     with open_run(record(tmp_path / "run", found)) as run:
         verdict = verify(run)
     compared = {one.topic: one.count for one in verdict.topics}
@@ -264,11 +264,11 @@ def test_verify_finds_a_reading_that_its_scans_do_not_give(
 
 
 @pytest.mark.parametrize("cut", [1, 2 * HALF_PERIODS, 2 * HALF_PERIODS + 1, 30])
-def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
+def test_verify_accepts_monitor_messages_that_depend_on_unrecorded_scans(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
 ) -> None:
     """Topics end one after the other: the last monitor messages depend on scans that no recording contains."""
-    found = beside_scans(monkeypatch)
+    found = scans_and_monitors(monkeypatch)
     last = [place for place, (name, _) in enumerate(found) if name == "daq/scan"][-cut:]
     with open_run(record(tmp_path / "run", [one for place, one in enumerate(found) if place not in last])) as run:
         verdict = verify(run)
@@ -278,7 +278,7 @@ def test_verify_accuses_no_monitor_of_scans_that_a_recorder_no_longer_heard(
     }
 
 
-def test_scans_over_range_are_counted_when_they_are_asked_for() -> None:
+def test_counts_of_scans_over_range_are_complete_on_request() -> None:
     """Scans are searched many at a time, but the counts are complete whenever they are requested."""
     rig = Rig(from_flat(RigConfig(), {"drive.amplitude": 0.52, "instruments.laser.half_range_m": 1e-4}))
     blocks, counts = rig.advance(400_000_000), Counts()

@@ -64,7 +64,7 @@ def test_a_running_rig_reports_rates_energy_faults_and_over_ranges(client: Clien
     )
 
 
-def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(client: Client) -> None:
+def test_a_slow_reader_is_named_in_real_time_until_it_leaves(client: Client) -> None:
     """No node waits for it, so the rig can only report it."""
     host_rig(client, "realtime", time__factor=4.0)
     client.wait_active("rig")
@@ -86,7 +86,7 @@ def test_a_slow_reader_is_named_in_real_time_and_one_that_leaves_forgotten(clien
     assert "behind.client" not in client.figures("rig")
 
 
-def test_a_reader_that_is_too_slow_to_get_all_scans_is_named_and_counted(client: Client) -> None:
+def test_a_reader_too_slow_to_receive_all_scans_is_named_and_counted(client: Client) -> None:
     """The rig keeps 250 blocks of 0.1 s; a slower reader loses the older ones."""
     host_rig(client, "realtime", time__factor=20.0, daq__block_scans=1000)
     client.wait_active("rig")
@@ -100,12 +100,12 @@ def test_a_reader_that_is_too_slow_to_get_all_scans_is_named_and_counted(client:
     assert re.search(r"client is \d+ s behind in reading daq/scan and loses scans", client.status("rig").message)
 
 
-def test_the_worst_message_wins_and_equals_are_joined() -> None:
+def test_the_worst_message_is_shown_and_equally_bad_ones_are_joined() -> None:
     assert worst((Level.OK, "fine"), (Level.WARN, "one"), (Level.WARN, "two")) == (Level.WARN, "one; two")
     assert worst() == (Level.OK, "")
 
 
-def test_the_share_of_a_core_is_that_since_the_last_look() -> None:
+def test_the_share_of_a_core_is_that_since_the_last_report() -> None:
     wall, used = iter((10.0, 12.0, 12.0)), iter((1.0, 1.5, 1.5))
     meter = CpuMeter(clock=lambda: next(wall), used=lambda: next(used))
     assert [meter.percent() for _ in range(3)] == [0.0, 25.0, 0.0]
@@ -129,7 +129,7 @@ def test_a_step_of_the_system_clock_is_reported_and_moves_no_stamp(
     assert client.figures("rig")["slips"] == "0"
 
 
-def test_two_rigs_in_two_namespaces_of_one_domain_do_not_meet() -> None:
+def test_two_rigs_in_two_namespaces_do_not_affect_each_other() -> None:
     """Commands, services, parameters and diagnostics of one rig never reach the other."""
     with isolated_domain() as domain, Client(domain, "/one") as one, Client(domain, "/two") as two:
         for user, gap in ((one, 0.002), (two, 0.008)):

@@ -84,7 +84,7 @@ def run(executor: Any, calls: int = 50) -> None:
 
 
 @pytest.mark.parametrize("with_info", [False, True])
-def test_messages_that_were_never_told_are_handed_over_in_order(
+def test_messages_without_a_notification_are_delivered_in_order(
     executors: list[Any], make_node: Callable[[str], Node], with_info: bool
 ) -> None:
     told, heard = executors
@@ -116,7 +116,7 @@ def test_messages_that_were_never_told_are_handed_over_in_order(
 
 
 @pytest.mark.parametrize("qos", [KEPT, QoSProfile(depth=2, history=HistoryPolicy.KEEP_ALL)], ids=["last", "all"])
-def test_a_callback_that_raises_in_a_look_keeps_nobody_from_what_follows(
+def test_an_exception_in_a_callback_does_not_prevent_later_deliveries(
     executors: list[Any], make_node: Callable[[str], Node], qos: QoSProfile
 ) -> None:
     """An exception that leaves a task of rclpy's events executor ends the process with a segmentation fault."""
@@ -141,7 +141,7 @@ def test_a_callback_that_raises_in_a_look_keeps_nobody_from_what_follows(
     assert got == ["a", "b", "c"]
 
 
-def test_a_look_ends_though_more_comes_all_the_time(executors: list[Any], make_node: Callable[[str], Node]) -> None:
+def test_a_poll_ends_although_messages_keep_arriving(executors: list[Any], make_node: Callable[[str], Node]) -> None:
     told, heard = executors
     node = make_node("one")
     publisher = node.create_publisher(String, "words", KEPT)
@@ -164,7 +164,7 @@ def test_a_look_ends_though_more_comes_all_the_time(executors: list[Any], make_n
 
 
 @pytest.mark.parametrize("is_coroutine", [False, True])
-def test_requests_and_answers_that_were_never_told_are_handed_over(
+def test_requests_and_answers_without_a_notification_are_delivered(
     executors: list[Any], make_node: Callable[[str], Node], is_coroutine: bool
 ) -> None:
     told, heard = executors
@@ -198,13 +198,13 @@ PRIVATE = re.compile(
 )
 
 
-def test_private_parts_of_rclpy_are_used_in_one_module() -> None:
+def test_only_one_module_uses_private_parts_of_rclpy() -> None:
     package = Path(impact_rig.__file__).parent
     texts = {path.relative_to(package): path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
     assert [str(path) for path, text in texts.items() if PRIVATE.search(text)] == ["nodes/rclpy_internals.py"]
 
 
-def test_with_another_rclpy_the_public_executor_runs_the_nodes(client: Client, monkeypatch) -> None:
+def test_nodes_use_the_public_executor_with_other_versions_of_rclpy(client: Client, monkeypatch) -> None:
     monkeypatch.setattr("importlib.metadata.version", lambda _name: "10.0.0")
     executor = make_executor(client.context)
     assert type(executor) is SingleThreadedExecutor

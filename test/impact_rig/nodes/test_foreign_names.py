@@ -36,7 +36,7 @@ pytestmark = pytest.mark.ros
 LEAVING = [name for name in HOSTILE_NAMES if "/" in name or not name.isprintable() or name.startswith((".", "-"))]
 
 
-def test_a_recorder_refuses_a_name_that_is_no_plain_file_name(client: Client, tmp_path: Path) -> None:
+def test_a_recorder_rejects_a_name_that_is_not_a_plain_file_name(client: Client, tmp_path: Path) -> None:
     directory = tmp_path / "runs"
     node = client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(directory), "record": False}))
     client.wait_active("recorder")
@@ -54,7 +54,7 @@ def test_a_recorder_refuses_a_name_that_is_no_plain_file_name(client: Client, tm
 
 
 @pytest.mark.parametrize("name", ["../x", "\x1b[31mrun"], ids=file_name)
-def test_a_recorder_is_not_configured_with_such_a_name_at_its_start(client: Client, tmp_path: Path, name: str) -> None:
+def test_a_recorder_that_starts_with_such_a_name_is_not_configured(client: Client, tmp_path: Path, name: str) -> None:
     node = client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": name}))
     client.wait_until(lambda: "name must be a file name" in client.status("recorder").message, "the refusal")
     assert node.state == "unconfigured"
@@ -73,7 +73,7 @@ def test_a_recorder_does_not_record_through_a_link(client: Client, tmp_path: Pat
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_a_refused_value_of_megabytes_is_not_repeated_in_diagnostics(client: Client, tmp_path: Path) -> None:
+def test_diagnostics_do_not_repeat_a_rejected_value_of_megabytes(client: Client, tmp_path: Path) -> None:
     node = host_rig(client)
     client.wait_active("rig")
     huge = f"\x1b[31m{'x' * 3_000_000}"

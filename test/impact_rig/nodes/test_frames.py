@@ -99,5 +99,5 @@ def test_a_prefix_in_the_settings_replaces_the_namespace(prefix: str, expected: 
     assert all(names == {expected + own[topic]} for topic, names in settled.items()), settled
 
 
-def test_without_a_namespace_there_is_no_prefix(client: Client) -> None:
+def test_frames_have_no_prefix_without_a_namespace(client: Client) -> None:
     assert host_rig(client).frame_prefix == ""

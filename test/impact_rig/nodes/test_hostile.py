@@ -78,7 +78,9 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Attacked]:
 @pytest.mark.parametrize(
     ("topic", "low", "high"), [(topics.FREQUENCY, 5.0, 200.0), (topics.CURRENT, 0.0, 15.0 * math.sqrt(2.0))]
 )
-def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: float, high: float) -> None:
+def test_commands_of_any_value_are_accepted_in_range_and_otherwise_counted(
+    attacked: Attacked, topic: topics.Topic, low: float, high: float
+) -> None:
     """Commands are accepted in order if they are finite and in range; every other command is rejected and counted."""
     client, column = attacked.client, topic.name.removeprefix("shaker/")
     client.set_parameters("rig", {"shaker.travel_limit_m": 1.0})  # the interlock has tests of its own
@@ -104,7 +106,7 @@ def test_commands_of_any_value(attacked: Attacked, topic: topics.Topic, low: flo
     attacked.assert_sound()
 
 
-def test_ten_thousand_commands_a_second(attacked: Attacked) -> None:
+def test_ten_thousand_commands_a_second_keep_their_order_and_lose_no_block(attacked: Attacked) -> None:
     """The newest value is active in the end, the order is kept, and no block of real time is lost."""
     client = attacked.client
     client.command(frequency_hz=10.0)
@@ -150,7 +152,7 @@ def _given(value: ParameterValue) -> object:
     return tuple(found) if value.type == 9 else found
 
 
-def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
+def test_parameters_of_any_name_type_and_value_are_validated(attacked: Attacked) -> None:
     """The rig accepts what the validator accepts, and rejects the rest with the validator's messages."""
     client, before = attacked.client, attacked.refused_before("rig", "parameter")
     refused = 0
@@ -189,7 +191,7 @@ def test_parameters_of_any_name_type_and_value(attacked: Attacked) -> None:
 # Services and transitions
 
 
-def test_services_in_any_order_and_state(attacked: Attacked) -> None:
+def test_services_answer_in_any_order_and_state(attacked: Attacked) -> None:
     """Every answer has a message, and those without success are counted."""
     client = attacked.client
     names = [row.name[2:] for row in graph.SERVICES if row.node == "rig"]
@@ -233,7 +235,7 @@ _SHUTDOWNS = (
 
 
 @pytest.mark.parametrize("node", ["rig", "analysis", "recorder"])
-def test_transitions_in_any_order(attacked: Attacked, node: str) -> None:
+def test_transitions_in_any_order_leave_a_working_node(attacked: Attacked, node: str) -> None:
     """Valid transitions happen, others are rejected and counted; after 2000 of them, the node still works."""
     client = attacked.client
     state, refused = client.state(node), attacked.refused_before(node, "transition")
@@ -273,7 +275,7 @@ def recorded(attacked: Attacked) -> Attacked:
 @pytest.mark.parametrize(
     "topic", [t for t in TOPICS if t.recorded and not t.name.startswith("/")], ids=lambda topic: topic.name
 )
-def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> None:
+def test_bytes_that_are_not_a_message_are_rejected_and_counted(recorded: Attacked, topic: topics.Topic) -> None:
     """The middleware forwards anything, and every subscriber must cope with it."""
     client = recorded.client
     publisher = client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
@@ -294,11 +296,11 @@ def test_bytes_that_are_no_message(recorded: Attacked, topic: topics.Topic) -> N
     client.node.destroy_publisher(publisher)
 
 
-def test_the_nodes_are_sound_after_all_those_bytes(recorded: Attacked) -> None:
+def test_the_nodes_work_after_invalid_bytes(recorded: Attacked) -> None:
     recorded.assert_sound()
 
 
-def test_acknowledgements_of_any_stamp_in_any_name(attacked: Attacked) -> None:
+def test_acknowledgements_of_any_stamp_and_name_do_not_move_the_rig(attacked: Attacked) -> None:
     """A future stamp is rejected and counted, an unknown name is counted separately; neither moves the rig."""
     client = attacked.client
     attacked.quiet()

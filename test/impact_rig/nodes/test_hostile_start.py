@@ -47,7 +47,7 @@ _START_VALUES = st.one_of(
 _START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
 
 
-def test_start_values_of_any_name_and_type() -> None:
+def test_start_values_of_any_name_and_type_are_validated() -> None:
     """The rig is configured only if the validator accepts all values; else it stays unconfigured and says why."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
 

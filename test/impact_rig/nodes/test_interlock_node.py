@@ -102,7 +102,7 @@ def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, thro
 
 
 @pytest.mark.parametrize("step_s", [3_600, -3_600])
-def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
+def test_a_step_of_the_system_clock_does_not_affect_commands_after_a_suspension(
     client: Client, monkeypatch: pytest.MonkeyPatch, step_s: int
 ) -> None:
     """The clock is set during the suspension, and set back afterwards: commands received after that are accepted."""
@@ -131,7 +131,7 @@ def test_no_step_of_the_system_clock_decides_about_commands_after_a_suspension(
     assert client.command(current_a=0.2)["current"] == 0.2
 
 
-def test_what_is_sent_after_a_suspension_is_accepted_at_once(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_sent_after_a_suspension_is_accepted_at_once(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     node = host_rig(client, "realtime")
     client.wait_active("rig")
     with monkeypatch.context() as patch:

@@ -117,7 +117,7 @@ def user(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
         yield client
 
 
-def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
+def test_a_node_survives_exceptions_in_callbacks_and_reports_them(user: Client) -> None:
     node = user.host(Small)
     user.wait_active("small")
     user.wait_until(lambda: node.ticks > 5, "the timer to go on after its exception")
@@ -129,7 +129,7 @@ def test_a_node_survives_bugs_in_callbacks_and_says_so(user: Client) -> None:
     assert node.refusals.counts == {"exception": 2, "refuse": 1}
 
 
-def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
+def test_a_node_that_is_ending_reports_nothing_more(user: Client) -> None:
     """A rig that ends together with its analysis must not warn that the analysis is gone."""
     node = user.host(Small)
     user.wait_active("small")
@@ -142,7 +142,7 @@ def test_a_node_that_is_told_to_end_has_no_more_news(user: Client) -> None:
     assert not any("a peer has ended" in report.status[0].message for report in reports.messages)
 
 
-def test_a_service_may_answer_later_on_every_executor(user: Client) -> None:
+def test_a_service_can_answer_later_with_every_executor(user: Client) -> None:
     user.host(Small)
     user.wait_active("small")
     assert user.trigger("small/later") == "answered"
@@ -191,7 +191,7 @@ def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(cli
         ({"words": 3}, "words must be a list of texts, got 3"),
     ],
 )
-def test_a_bad_value_is_refused_in_the_words_of_the_validator(
+def test_an_invalid_value_is_rejected_with_the_message_of_the_validator(
     values: dict[str, Any], reason: str, lasting: Client
 ) -> None:
     with pytest.raises(ConfigError) as refusal:
@@ -209,7 +209,7 @@ def lasting():
         yield client
 
 
-def test_good_values_are_set_together(client: Client) -> None:
+def test_valid_values_are_set_together(client: Client) -> None:
     node = client.host(Small)
     client.wait_active("small")
     client.set_parameters("small", {"speed_m_s": 5, "count": 7, "words": ["a", "b"]})
@@ -221,7 +221,7 @@ def test_good_values_are_set_together(client: Client) -> None:
     assert not node.set_parameters([Parameter("count", value=-1)])[0].successful
 
 
-def test_descriptors_tell_unit_range_and_what_is_fixed(lasting: Client) -> None:
+def test_parameter_descriptors_contain_unit_range_and_whether_read_only(lasting: Client) -> None:
     request = DescribeParameters.Request(names=["speed_m_s", "count", "rate_hz"])
     speed, count, rate = lasting.call(DescribeParameters, "small/describe_parameters", request).descriptors
     assert speed.description == "How fast. [m/s]"
@@ -233,14 +233,14 @@ def test_descriptors_tell_unit_range_and_what_is_fixed(lasting: Client) -> None:
 
 
 @pytest.mark.parametrize("values", [{"speed_m_s": -1.0}, {"cuont": 1}, {"config_file": "/nowhere.yaml"}])
-def test_bad_values_at_start_refuse_to_configure(client: Client, values: dict[str, Any]) -> None:
+def test_a_node_with_invalid_start_values_is_not_configured(client: Client, values: dict[str, Any]) -> None:
     client.host(Small, parameter_overrides=ros_parameters(values))
     word = {"config_file": "cannot read configuration"}.get(*values, *values)
     client.wait_until(lambda: word in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
 
 
-def test_every_node_may_begin_from_a_configuration_file(client: Client, tmp_path: Path) -> None:
+def test_every_node_can_start_from_a_configuration_file(client: Client, tmp_path: Path) -> None:
     path = tmp_path / "small.yaml"
     path.write_text("/**:\n  ros__parameters:\n    count: 7\n    speed_m_s: 5.0\n", encoding="utf-8")
     values = {"config_file": str(path), "speed_m_s": 6.0, "bugs": False}
@@ -249,7 +249,7 @@ def test_every_node_may_begin_from_a_configuration_file(client: Client, tmp_path
     assert (node.settings.count, node.settings.speed_m_s) == (7, 6.0)
 
 
-def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> None:
+def test_a_parameter_of_an_unknown_type_is_rejected(user: Client) -> None:
     """An unknown parameter type raises inside rclpy's own parameter services, which must not end the process."""
     node = user.host(Small)
     user.wait_active("small")
@@ -265,7 +265,7 @@ def test_a_parameter_of_a_type_that_does_not_exist_is_refused(user: Client) -> N
     assert user.get_parameters("small", ["count"]) == {"count": 4}
 
 
-def test_a_clock_before_1970_is_survived_by_a_node_in_simulated_time(user: Client) -> None:
+def test_a_node_in_simulated_time_survives_a_clock_before_1970(user: Client) -> None:
     """A clock before 1970 raises inside rclpy's own subscription to /clock, which must not end the process."""
     node = user.host(Small, parameter_overrides=ros_parameters({"use_sim_time": True, "bugs": False}))
     user.wait_active("small")

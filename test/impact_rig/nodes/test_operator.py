@@ -61,7 +61,7 @@ def plotted() -> Iterator[tuple[Client, dict[str, Collector]]]:
 
 
 @pytest.mark.parametrize("name", MONITORS)
-def test_a_plotter_gets_even_steps_of_present_time_and_a_frame(plotted, name: str) -> None:
+def test_a_plotter_receives_a_frame_and_stamps_in_even_steps_up_to_now(plotted, name: str) -> None:
     _, heard = plotted
     received = list(heard[name].received)
     stamps = np.array([nanoseconds(one.data.header.stamp) for one in received])
@@ -72,7 +72,7 @@ def test_a_plotter_gets_even_steps_of_present_time_and_a_frame(plotted, name: st
     assert {one.data.header.frame_id for one in received} == {by_name(name).frame_id}
 
 
-def test_the_wire_says_what_is_not_measured(plotted) -> None:
+def test_messages_mark_what_is_not_measured(plotted) -> None:
     """Unmeasured parts are marked by REP-145 (Imu), REP-117 (Range), and by a displacement along x only."""
     client, heard = plotted
     info = client.collect("daq/info")
@@ -93,7 +93,7 @@ def test_the_wire_says_what_is_not_measured(plotted) -> None:
     assert list(heard["truth/joint_states"].messages[-1].name) == ["base", "structure", "sphere"]
 
 
-def test_a_narrower_laser_is_out_of_range_on_both_sides_and_another_rate_has_other_steps(client: Client) -> None:
+def test_a_narrower_laser_is_out_of_range_on_both_sides_and_the_rate_can_change(client: Client) -> None:
     host_rig(client, "realtime", drive__amplitude=0.52, time__factor=2.0)
     client.wait_active("rig")
     laser = client.collect("laser")

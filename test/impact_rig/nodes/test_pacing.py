@@ -34,7 +34,7 @@ class FakeClock:
         return self.now
 
 
-def test_due_time_follows_the_clock_without_drift() -> None:
+def test_the_due_time_follows_the_clock_without_drift() -> None:
     clock = FakeClock()
     pacer = Pacer(clock, factor=2.0)
     pacer.rebase(0)
@@ -45,7 +45,7 @@ def test_due_time_follows_the_clock_without_drift() -> None:
     assert pacer.slips == 0
 
 
-def test_a_suspended_process_is_rebased_and_says_by_how_much() -> None:
+def test_the_time_base_moves_after_a_suspension_and_the_shift_is_reported() -> None:
     clock = FakeClock()
     pacer = Pacer(clock, max_lag_ns=200 * MS)
     pacer.rebase(0)
@@ -83,7 +83,7 @@ def test_the_wait_until_a_block_is_due_is_in_clock_time() -> None:
     assert pacer.wait_ns(0) == -1 * MS
 
 
-def test_window_follows_the_slowest_peer() -> None:
+def test_the_window_follows_the_slowest_peer() -> None:
     clock = FakeClock()
     window = AckWindow(("a", "b"), 4, 3 * NS_PER_S, clock)
     for stamp in (0, 10, 20):
@@ -99,7 +99,7 @@ def test_window_follows_the_slowest_peer() -> None:
 
 
 @pytest.mark.parametrize(("peer", "stamp"), [("nobody", 0), ("a", 21), ("", 0)])
-def test_senseless_acknowledgements_are_refused(peer: str, stamp: int) -> None:
+def test_invalid_acknowledgements_are_rejected(peer: str, stamp: int) -> None:
     window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
     assert not window.acknowledge("a", 0), "nothing was published yet"
     window.published(20)
@@ -107,7 +107,7 @@ def test_senseless_acknowledgements_are_refused(peer: str, stamp: int) -> None:
     assert window.outstanding() == 1
 
 
-def test_only_a_peer_that_owes_something_is_silent() -> None:
+def test_only_a_peer_with_unacknowledged_blocks_is_silent() -> None:
     clock = FakeClock()
     window = AckWindow(("a", "b"), 4, 3 * NS_PER_S, clock)
     clock.now += 100 * NS_PER_S  # a rig that pauses for long does not make its peers silent
@@ -136,14 +136,14 @@ def test_only_a_peer_that_owes_something_is_silent() -> None:
     assert (window.room(), window.heard_ns("b")) == (4, clock.now)
 
 
-def test_without_peers_there_is_always_room() -> None:
+def test_a_window_without_peers_always_has_room() -> None:
     window = AckWindow((), 4, NS_PER_S, FakeClock())
     for stamp in range(100):
         window.published(stamp)
     assert (window.room(), window.silent()) == (4, ())
 
 
-def test_a_peer_that_is_named_anew_is_waited_for_again() -> None:
+def test_the_rig_waits_again_for_a_peer_that_is_listed_again() -> None:
     """A peer that was given up is waited for again when it is listed again; otherwise, blocks are lost to it."""
     clock = FakeClock()
     window = AckWindow(("a", "b"), 4, NS_PER_S, clock)
@@ -161,7 +161,7 @@ def test_a_peer_that_is_named_anew_is_waited_for_again() -> None:
     assert (window.waived(), window.room()) == ((), 3)
 
 
-def test_new_peers_owe_nothing_of_the_past() -> None:
+def test_new_peers_need_not_acknowledge_earlier_blocks() -> None:
     window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
     window.published(0)
     window.set_peers(("a", "b"))
@@ -178,7 +178,7 @@ def test_new_peers_owe_nothing_of_the_past() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from(["publish", "a", "b"]), st.integers(-5, 400)), max_size=200))
-def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, int]]) -> None:
+def test_no_sequence_of_acknowledgements_overruns_the_window(steps: list[tuple[str, int]]) -> None:
     """The rig is at most `window` blocks ahead of what each peer has acknowledged, whatever peers send."""
     window = AckWindow(("a", "b"), 3, NS_PER_S, FakeClock())
     published, last = 0, {"a": -1, "b": -1}
@@ -195,7 +195,7 @@ def test_window_is_never_overrun_by_any_acknowledgements(steps: list[tuple[str, 
         assert 0 <= window.room() <= 3
 
 
-def test_a_reader_that_nobody_waits_for_is_counted_too() -> None:
+def test_a_reader_that_is_not_a_peer_is_counted_too() -> None:
     window = AckWindow(("peer",), 4, NS_PER_S, FakeClock())
     for stamp in range(10):
         window.published(stamp)
@@ -211,7 +211,7 @@ def test_a_reader_that_nobody_waits_for_is_counted_too() -> None:
     assert window.readers == ("peer",)
 
 
-def test_one_acknowledgement_stands_for_all_blocks_before_it() -> None:
+def test_an_acknowledgement_covers_all_earlier_blocks() -> None:
     window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
     for stamp in range(4):
         window.published(stamp)
@@ -219,7 +219,7 @@ def test_one_acknowledgement_stands_for_all_blocks_before_it() -> None:
     assert (window.behind(), window.room()) == ({"a": 1}, 3)
 
 
-def test_a_peer_that_left_and_comes_back_owes_nothing_that_was_forgiven() -> None:
+def test_a_peer_that_returns_need_not_acknowledge_blocks_that_were_given_up() -> None:
     window = AckWindow(("a",), 4, NS_PER_S, FakeClock())
     window.published(0)
     window.acknowledge("a", 0)

@@ -45,11 +45,11 @@ NEAR = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         (NEAR, "rmw_zenoh_cpp", False),
     ],
 )
-def test_discovery_ends_here_only_where_that_is_sure(environment, middleware, expected) -> None:
+def test_discovery_counts_as_local_only_where_the_settings_guarantee_it(environment, middleware, expected) -> None:
     assert ends_here(environment, middleware) is expected
 
 
-def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
+def test_a_lock_covers_one_namespace_of_one_domain(client: Client) -> None:
     place, same, other = (
         NamespaceLock(client.host(Node, node_name=name, namespace=where))
         for name, where in (("a", "/cell/one"), ("b", "/cell/one"), ("c", "/cell/two"))
@@ -65,7 +65,7 @@ def test_a_place_is_one_namespace_of_one_domain(client: Client) -> None:
         one.leave()
 
 
-def test_where_nothing_can_be_locked_the_graph_decides(client: Client, monkeypatch) -> None:
+def test_the_graph_decides_where_no_lock_is_possible(client: Client, monkeypatch) -> None:
     monkeypatch.setattr(files, "LOCK_PARENTS", (Path("/nowhere"),))
     place = NamespaceLock(client.node)
     assert not place.decides

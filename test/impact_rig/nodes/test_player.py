@@ -45,7 +45,7 @@ def follow(client: Client, run: Run) -> tuple[Player, Collector]:
     return playing, client.collect("daq/scan", acknowledge=True)
 
 
-def test_a_run_is_replayed_again_and_again_to_who_acknowledges(
+def test_a_run_is_replayed_repeatedly_at_the_pace_of_acknowledgements(
     client: Client, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the second round stamps start again, so the window must not contain those of the first round."""
@@ -58,7 +58,7 @@ def test_a_run_is_replayed_again_and_again_to_who_acknowledges(
             client.wait_until(lambda played=played: len(scans) == played * BLOCKS, "every block")
 
 
-def test_a_player_that_was_away_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_player_that_was_suspended_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Acknowledgements sent while this process was suspended are still read, and the replay continues."""
     monkeypatch.setattr(player, "PEER_TIMEOUT_S", 0.5)
     monkeypatch.setattr(player, "AWAY_S", 0.3)

@@ -70,7 +70,7 @@ def test_plots_are_stamped_in_a_frame_of_the_tree(plotted) -> None:
         assert {message.header.frame_id for message in collector.messages} == {"daq"}, name
 
 
-def test_envelopes_come_fifty_times_a_second_and_hold_every_scan(plotted) -> None:
+def test_envelopes_are_published_fifty_times_a_second_and_cover_every_scan(plotted) -> None:
     _, heard, scans = plotted
     for channel, topic in ENVELOPES.items():
         received = heard[topic.name].messages
@@ -85,7 +85,7 @@ def test_envelopes_come_fifty_times_a_second_and_hold_every_scan(plotted) -> Non
 
 
 @pytest.mark.parametrize("channel", SPECTRA)
-def test_the_drive_line_of_the_spectrum_on_the_wire_is_the_sine_that_fits(plotted, channel: str) -> None:
+def test_the_drive_line_of_the_published_spectrum_is_the_fitted_sine(plotted, channel: str) -> None:
     _, heard, scans = plotted
     message = heard[SPECTRA[channel].name].messages[-1]
     last_ns = nanoseconds(message.header.stamp)
@@ -97,13 +97,13 @@ def test_the_drive_line_of_the_spectrum_on_the_wire_is_the_sine_that_fits(plotte
     assert points[30:45, 1].max() == pytest.approx(fit.amplitude, rel=0.005)
 
 
-def test_the_drive_is_told_again_each_second(plotted) -> None:
+def test_the_drive_is_published_again_each_second(plotted) -> None:
     messages = plotted[1]["plot/drive"].messages
     assert {(message.vector.x, message.vector.y) for message in messages} == {(9.1, 0.1)}
     assert len(messages) >= 5
 
 
-def test_what_is_made_for_plotters_and_acknowledgements_are_not_recorded() -> None:
+def test_topics_for_plotters_and_acknowledgements_are_not_recorded() -> None:
     assert {topic.name for topic in TOPICS if not topic.recorded} == {
         topics.ACK.name,
         topics.PLOT_TRANSMISSIBILITY.name,
@@ -111,7 +111,7 @@ def test_what_is_made_for_plotters_and_acknowledgements_are_not_recorded() -> No
     }
 
 
-def test_a_measurement_comes_with_uncertainty_and_phase_and_is_latched(plotted) -> None:
+def test_a_measurement_has_uncertainty_and_phase_and_is_latched(plotted) -> None:
     client = plotted[0]
     table = client.collect("transmissibility/table")
     client.set_parameters("rig", {"structure.damping_ratio": 0.05})

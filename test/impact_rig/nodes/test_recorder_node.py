@@ -59,7 +59,7 @@ def recording(client: Client) -> bool:
     return client.status("recorder").message == "recording"
 
 
-def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_path: Path) -> None:
+def test_a_run_contains_every_message_and_the_configuration(client: Client, tmp_path: Path) -> None:
     host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"], daq__seed=77, barriers__gap_m=0.002)
     client.wait_active("rig", "recorder")
@@ -86,7 +86,7 @@ def test_a_run_holds_every_message_and_the_configuration(client: Client, tmp_pat
 
 
 @pytest.mark.parametrize("seed", ["abc", ".inf", "null", "[1]"])
-def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tmp_path: Path, seed: str) -> None:
+def test_an_invalid_seed_does_not_prevent_recording(client: Client, tmp_path: Path, seed: str) -> None:
     """Any node may send a seed. An invalid one must not leave the recorder idle without a reason."""
     host_recorder(client, tmp_path)
     client.wait_active("recorder")
@@ -99,7 +99,7 @@ def test_a_seed_that_is_no_number_keeps_nobody_from_recording(client: Client, tm
 
 
 @pytest.mark.parametrize("end", ["stop", "deactivate", "failed", "broken"])
-def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_before_the_end(
+def test_messages_of_several_blocks_are_written_together_and_all_before_the_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
     """An error in the queued messages, such as a full disk, must close the run, and ~/stop must report it."""
@@ -152,9 +152,7 @@ def test_in_real_time_what_several_blocks_bring_is_taken_together_and_all_of_it_
     )
 
 
-def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told_what_to_do(
-    client: Client, tmp_path: Path
-) -> None:
+def test_a_recorder_that_cannot_write_holds_the_rig_until_an_operator_acts(client: Client, tmp_path: Path) -> None:
     """Nothing is overwritten; a rig that waits for the recorder names it as the reason."""
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "metadata.yaml").write_text("precious")
@@ -179,7 +177,7 @@ def test_a_recorder_that_cannot_write_holds_up_who_waits_for_it_until_it_is_told
         assert run.topics[run.resolve("rig/journal")].count == 1, "what came before the start but belongs to the run"
 
 
-def test_start_and_stop_in_every_state(client: Client, tmp_path: Path) -> None:
+def test_start_and_stop_answer_in_every_state(client: Client, tmp_path: Path) -> None:
     host_recorder(client, tmp_path, record=False, configuration_wait_s=0.0)
     client.wait_active("recorder")
     assert "nothing" in client.trigger("recorder/stop")
@@ -203,7 +201,7 @@ def test_a_start_before_the_configuration_has_arrived_is_not_requested_again(cli
         client.trigger("recorder/start")
 
 
-def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -> None:
+def test_recordings_within_one_second_are_numbered(client: Client, tmp_path: Path) -> None:
     """Stopping and starting again within one second must work, although the name of the run is taken."""
     host_recorder(client, tmp_path, record=False, name="", configuration_wait_s=0.0)
     client.wait_active("recorder")
@@ -215,7 +213,7 @@ def test_recordings_of_one_second_are_numbered(client: Client, tmp_path: Path) -
     assert any(name.endswith("_2") for name in begun), "as twenty take less than twenty seconds"
 
 
-def test_a_recorder_whose_disk_fails_acknowledges_no_more(
+def test_a_recorder_whose_disk_fails_stops_acknowledging(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rig in lockstep must not count a block as recorded that the recorder could not write."""
@@ -238,9 +236,7 @@ def test_a_recorder_whose_disk_fails_acknowledges_no_more(
     client.wait_until(lambda: "peer recorder silent" in client.status("rig").message, "the rig to name it")
 
 
-def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they_come(
-    client: Client, tmp_path: Path
-) -> None:
+def test_all_rapid_changes_of_calibration_and_configuration_are_recorded(client: Client, tmp_path: Path) -> None:
     """The recorder is busy with other work while all the changes are made."""
     recorder = host_recorder(client, tmp_path)
     rig = host_rig(client, time__peers=["recorder"])
@@ -263,7 +259,7 @@ def test_every_change_of_calibration_and_configuration_is_kept_however_fast_they
     assert lags[1:] == [pytest.approx(1e-3 + 1e-6 * number) for number in range(changes)]
 
 
-def test_several_publishers_of_a_topic_are_no_loss(client: Client, tmp_path: Path) -> None:
+def test_several_publishers_of_a_topic_are_not_taken_for_a_loss(client: Client, tmp_path: Path) -> None:
     """Two operators send commands and remarks: each has its own sequence numbers."""
     host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
@@ -289,7 +285,7 @@ def test_several_publishers_of_a_topic_are_no_loss(client: Client, tmp_path: Pat
     assert client.status("recorder").level == b"\0"
 
 
-def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(client: Client, tmp_path: Path) -> None:
+def test_lost_messages_are_reported_by_topic_and_noted_in_the_file(client: Client, tmp_path: Path) -> None:
     recorder = host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")
@@ -316,7 +312,7 @@ def test_messages_that_never_arrived_are_told_by_topic_and_kept_in_the_file(clie
     assert stream.publisher == "/rig"
 
 
-def test_a_message_that_a_newer_one_replaced_is_not_lost(client: Client, tmp_path: Path) -> None:
+def test_a_message_replaced_by_a_newer_one_does_not_count_as_lost(client: Client, tmp_path: Path) -> None:
     """The rig keeps only its newest robot description, so a busy recorder receives a part of them."""
     recorder = host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
@@ -425,7 +421,7 @@ def test_long_blocks_ahead_of_time_lose_no_monitor_message(client: Client, tmp_p
     assert info(tmp_path / "run").lost == {}
 
 
-def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path) -> None:
+def test_latched_results_of_earlier_cases_are_not_part_of_a_run(client: Client, tmp_path: Path) -> None:
     """A recorder that starts receives latched results of earlier cases, which are not part of its run."""
     node = client.host(Node, node_name="analysis")
     profile = messages.profile(topics.TRANSMISSIBILITY_TABLE.qos)
@@ -445,7 +441,7 @@ def test_results_of_before_are_not_those_of_a_run(client: Client, tmp_path: Path
         assert [found.stamp_ns for found in run.tables("transmissibility/table")] == [4]
 
 
-def test_the_calibration_is_attached_for_people(client: Client, tmp_path: Path) -> None:
+def test_the_calibration_is_attached_as_readable_text(client: Client, tmp_path: Path) -> None:
     host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")
@@ -463,7 +459,7 @@ def test_the_calibration_is_attached_for_people(client: Client, tmp_path: Path) 
     assert second["channels"]["laser"]["lag"] == certificates[1]["lag"][1] == 0.001
 
 
-def test_a_directory_that_cannot_be_is_refused_and_the_node_goes_on(client: Client, tmp_path: Path) -> None:
+def test_an_impossible_directory_is_rejected_and_the_node_continues(client: Client, tmp_path: Path) -> None:
     host_recorder(client, tmp_path, record=False)
     host_rig(client, time__peers=["recorder"])
     client.wait_active("rig", "recorder")

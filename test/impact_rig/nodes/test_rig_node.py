@@ -36,7 +36,7 @@ from impact_rig.topics import Topic
 pytestmark = pytest.mark.ros
 
 
-def test_a_rig_with_a_bad_value_refuses_to_configure_and_says_why(client: Client) -> None:
+def test_a_rig_with_an_invalid_value_is_not_configured_and_reports_the_reason(client: Client) -> None:
     node = host_rig(client, barriers__gap_m=6)
     client.wait_until(lambda: client.status("rig").level == b"\2", "the diagnostic")
     assert "barriers.gap_m must be >= 1e-06 and <= 1, got 6" in client.status("rig").message
@@ -45,7 +45,7 @@ def test_a_rig_with_a_bad_value_refuses_to_configure_and_says_why(client: Client
     assert node.refusals.counts.total() == 0
 
 
-def test_reset_begins_a_new_journal_and_stamps_go_on(client: Client) -> None:
+def test_a_reset_begins_a_new_journal_and_stamps_continue(client: Client) -> None:
     host_rig(client, **DRIVEN)
     client.wait_active("rig")
     journal, scans = client.collect("rig/journal"), client.collect("daq/scan")
@@ -62,7 +62,7 @@ def test_reset_begins_a_new_journal_and_stamps_go_on(client: Client) -> None:
     assert begun.values == again.values
 
 
-def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_command(client: Client) -> None:
+def test_a_late_subscriber_receives_the_present_state_and_the_journal(client: Client) -> None:
     host_rig(client)
     client.wait_active("rig")
     client.command(frequency_hz=8.0, current_a=0.2)
@@ -76,9 +76,7 @@ def test_a_late_subscriber_gets_calibration_configuration_journal_and_present_co
     assert [entry.name for entry in late["rig/journal"].entries()] == ["", "frequency", "current"]
 
 
-def test_the_scans_of_a_block_are_published_after_the_rest_of_it(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_scans_of_a_block_are_published_last(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """Scans are acknowledged for the complete block: its true values, and readings that are filtered 80 ms later."""
     sent: list[tuple[str, int]] = []
     delays = {"truth/joint_states": 0, "laser": 8 * TICK}
@@ -134,7 +132,7 @@ def test_qos_of_publishers_and_subscriptions_can_be_overridden(client: Client) -
 
 
 @pytest.mark.parametrize("mode", ["realtime", "free_running"])
-def test_a_simulation_that_cannot_go_on_deactivates_the_rig_and_can_be_started_again(
+def test_a_failed_simulation_deactivates_the_rig_which_can_be_restarted(
     client: Client, mode: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = host_rig(client, mode, time__peers=["client"])

@@ -64,7 +64,7 @@ def test_a_realtime_recording_begins_with_scan_0(client: Client, tmp_path) -> No
     assert int(client.figures("analysis")["unconfigured_scans"]) == 0
 
 
-def test_realtime_goes_on_without_a_peer_that_does_not_come(client: Client) -> None:
+def test_a_rig_in_real_time_continues_without_a_peer_that_does_not_appear(client: Client) -> None:
     host_rig(client, "realtime", time__peers=["absent"], time__start_wait_s=0.3)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -81,7 +81,7 @@ def other(client: Client, topic: topics.Topic) -> Node:
 
 
 @pytest.mark.parametrize("topic", [topics.SCAN, topics.CLOCK], ids=lambda topic: topic.name)
-def test_a_rig_that_is_not_alone_says_by_whom_and_goes_on(client: Client, topic: topics.Topic) -> None:
+def test_a_rig_with_a_rival_publisher_names_it_and_continues(client: Client, topic: topics.Topic) -> None:
     host_rig(client, time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -101,7 +101,7 @@ def starts(journal: Collector) -> int:
 
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
-def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -> None:
+def test_a_second_rig_waits_until_the_first_has_ended(client: Client, mode: str) -> None:
     """Two rigs with one name in one namespace would be merged into one recording."""
     first = host_rig(client, "realtime")
     client.wait_active("rig")
@@ -126,7 +126,7 @@ def test_a_second_rig_waits_until_the_first_is_gone(client: Client, mode: str) -
     client.wait_until(lambda: starts(journal) == 2, "the second to begin")
 
 
-def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(client: Client) -> None:
+def test_a_rig_waits_for_a_local_rig_that_is_not_discovered_yet(client: Client) -> None:
     place = NamespaceLock(client.node)
     assert place.take()
     node = host_rig(client)
@@ -139,7 +139,7 @@ def test_a_rig_waits_for_one_of_this_machine_that_the_graph_does_not_know_yet(cl
     assert not place.take()
 
 
-def test_a_rig_in_real_time_has_no_clock_to_quarrel_about(client: Client) -> None:
+def test_a_rig_in_real_time_ignores_other_publishers_of_the_clock(client: Client) -> None:
     host_rig(client, "realtime")
     client.wait_active("rig")
     scans = client.collect("daq/scan")

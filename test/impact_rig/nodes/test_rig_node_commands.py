@@ -34,7 +34,7 @@ from impact_rig.rig.description import robot_description
 pytestmark = pytest.mark.ros
 
 
-def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client) -> None:
+def test_invalid_commands_are_rejected_and_counted_and_change_nothing(client: Client) -> None:
     node = host_rig(client)
     client.wait_active("rig")
     client.command(frequency_hz=9.1, current_a=0.3)
@@ -56,7 +56,7 @@ def test_hostile_commands_are_refused_counted_and_change_nothing(client: Client)
     assert len(applied) == 4
 
 
-def test_a_command_that_is_refused_says_why_at_once(client: Client) -> None:
+def test_a_rejected_command_returns_the_reason_at_once(client: Client) -> None:
     """A rejected command must return the reason at once, not after ten seconds, although the rig has no problem."""
     host_rig(client)
     client.wait_active("rig")
@@ -67,7 +67,7 @@ def test_a_command_that_is_refused_says_why_at_once(client: Client) -> None:
     assert client.command(current_a=0.2)["frequency"] == 8.0
 
 
-def test_commands_before_activation_are_refused_and_parameters_accepted(client: Client) -> None:
+def test_commands_are_rejected_and_parameters_accepted_before_activation(client: Client) -> None:
     node = host_rig(client, output__autostart=False)
     client.wait_until(lambda: client.state("rig") == "unconfigured", "the node")
     client.publish(topics.CURRENT, Float64(data=0.1))
@@ -83,7 +83,7 @@ def test_commands_before_activation_are_refused_and_parameters_accepted(client: 
     assert "gap_m: 0.008" in configuration.messages[0].data
 
 
-def test_what_was_commanded_before_a_rig_begins_is_dropped(client: Client) -> None:
+def test_a_command_sent_before_the_rig_starts_is_dropped(client: Client) -> None:
     """A command that waited in the node's queue during its start was meant for another rig, or for none."""
     node = host_rig(client, output__autostart=False)
     publisher = client.publisher(topics.CURRENT)
@@ -104,7 +104,7 @@ def test_what_was_commanded_before_a_rig_begins_is_dropped(client: Client) -> No
     assert client.command(current_a=0.2)["current"] == 0.2
 
 
-def test_the_description_is_latched_and_follows_the_gap_and_nothing_that_is_not_seen(client: Client) -> None:
+def test_the_robot_description_is_latched_and_changes_only_with_visible_parameters(client: Client) -> None:
     node = host_rig(client)
     client.wait_active("rig")
     descriptions = client.collect("robot_description")
@@ -116,7 +116,7 @@ def test_the_description_is_latched_and_follows_the_gap_and_nothing_that_is_not_
     assert len(descriptions) == 2
 
 
-def test_a_flood_of_commands_leaves_order_and_a_whole_journal(client: Client) -> None:
+def test_a_flood_of_commands_keeps_the_order_and_a_complete_journal(client: Client) -> None:
     """A client publishes as fast as it can: the queue keeps the newest commands; every accepted one is journaled."""
     host_rig(client, "realtime")
     client.wait_active("rig")
@@ -163,7 +163,7 @@ def test_over_travel_latches_with_an_error_until_cleared(client: Client) -> None
     assert row["current"] == 0.1
 
 
-def test_pluck_uses_its_parameter(client: Client) -> None:
+def test_the_pluck_service_uses_the_parameter_of_the_deflection(client: Client) -> None:
     host_rig(client, pluck__displacement_m=0.003, output__truth_scan=True, sphere__present=False)
     client.wait_active("rig")
     truth = client.collect("truth/scan")
@@ -174,7 +174,7 @@ def test_pluck_uses_its_parameter(client: Client) -> None:
     assert np.all(truth.rows()["x_b"] == 0)
 
 
-def test_a_new_client_takes_nothing_of_the_past_for_the_answer_to_its_command(
+def test_a_new_client_ignores_old_rows_while_it_waits_for_an_answer(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A new client receives old rows, which must not end its first `command` with a scan of the past."""

@@ -31,7 +31,7 @@ from impact_rig.nodes import messages
 pytestmark = pytest.mark.ros
 
 
-def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) -> None:
+def test_a_silent_peer_pauses_the_rig_and_is_named_until_the_rig_is_resumed(client: Client) -> None:
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     scans = client.collect("daq/scan")  # listens, but never acknowledges
@@ -44,7 +44,7 @@ def test_silent_peer_pauses_the_rig_by_name_until_told_to_go_on(client: Client) 
         client.set_parameters("rig", {"time.peers": [""]})
 
 
-def test_free_running_waits_for_peers_that_are_not_there_yet(client: Client) -> None:
+def test_a_free_running_rig_waits_for_peers_that_have_not_started(client: Client) -> None:
     host_rig(client, "free_running", time__peers=["client", "absent"])
     client.wait_active("rig")
     client.wait_until(lambda: "waiting for peer" in client.status("rig").message, "the diagnostic")
@@ -55,7 +55,7 @@ def test_free_running_waits_for_peers_that_are_not_there_yet(client: Client) -> 
     assert scans.tables()[0].stamp_ns == 0, "the first block was not lost to the late peer"
 
 
-def test_senseless_acknowledgements_are_counted_and_harmless(client: Client) -> None:
+def test_invalid_acknowledgements_are_counted_and_have_no_effect(client: Client) -> None:
     node = host_rig(client, time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -79,7 +79,7 @@ def test_a_step_waits_for_the_slowest_peer(client: Client) -> None:
     assert len(scans) == 1
 
 
-def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
+def test_a_subscriber_with_incompatible_qos_does_not_hold_up_the_rig(client: Client) -> None:
     """The subscriber requests history that daq/scan does not offer, so it never matches; the peer counts as present."""
     profile = messages.profile(topics.SCAN.qos)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
@@ -91,7 +91,7 @@ def test_a_reader_that_cannot_match_holds_nobody_up(client: Client) -> None:
     assert len(scans) == 3
 
 
-def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
+def test_a_step_without_its_peer_is_rejected_with_the_name_of_the_peer(client: Client) -> None:
     host_rig(client, time__peers=["absent"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
     with pytest.raises(ServiceFailedError, match="peer absent does not subscribe"):
@@ -100,12 +100,12 @@ def test_a_step_without_its_peer_is_refused_by_name(client: Client) -> None:
     assert "waiting for peer absent" in client.status("rig").message
 
 
-def test_free_running_without_anybody_to_follow_is_refused(client: Client) -> None:
+def test_free_running_without_peers_is_rejected(client: Client) -> None:
     rig = host_rig(client, mode="free_running")
     assert "peers must not be empty in free_running" in str(rig.parameters.refused)
 
 
-def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Client) -> None:
+def test_the_rig_does_not_wait_for_a_restarted_peer_to_acknowledge_old_blocks(client: Client) -> None:
     """A restarted recorder received none of the earlier blocks, so the rig must not wait for it to acknowledge them."""
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
@@ -117,7 +117,7 @@ def test_a_peer_that_has_begun_anew_owes_nothing_and_the_rig_goes_on(client: Cli
     client.wait_until(lambda: "silent" not in client.status("rig").message, "the diagnostic to go")
 
 
-def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Client) -> None:
+def test_a_resumed_rig_continues_without_the_silent_peer(client: Client) -> None:
     host_rig(client, "free_running", time__peers=["client", "other"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -129,7 +129,7 @@ def test_a_rig_told_to_go_on_goes_on_without_the_one_that_is_silent(client: Clie
         client.wait_until(lambda: "running without peer other" in client.status("rig").message, "the diagnostic")
 
 
-def test_peers_that_were_refused_together_with_something_else_are_not_waited_for(client: Client) -> None:
+def test_the_rig_does_not_wait_for_peers_of_a_rejected_change(client: Client) -> None:
     """The rig must not wait for a peer whose addition was rejected together with another parameter."""
     host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")

@@ -38,7 +38,7 @@ from impact_rig.simtime import NS_PER_S
 pytestmark = pytest.mark.ros
 
 
-def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None:
+def test_a_rig_in_lockstep_publishes_exactly_what_it_computes(client: Client) -> None:
     host_rig(client, time__peers=["client"], **DRIVEN)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -58,7 +58,7 @@ def test_stepped_publishes_exactly_what_the_rig_computes(client: Client) -> None
         assert table.rows.tobytes() == block.scan.rows.tobytes()
 
 
-def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> None:
+def test_only_a_change_of_speed_restarts_the_period_of_the_blocks(client: Client) -> None:
     """A parameter such as a gap must not restart the period of the blocks."""
     node = host_rig(client, "realtime")
     client.wait_active("rig")
@@ -74,7 +74,7 @@ def test_only_another_speed_gives_the_work_another_rhythm(client: Client) -> Non
 
 
 @pytest.mark.parametrize("mode", ["realtime", "free_running"])
-def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
+def test_all_time_modes_yield_the_same_bits_for_the_same_journal(client: Client, mode: str) -> None:
     """Commands may arrive at any time; the journal states where they acted."""
     host_rig(client, mode, time__peers=["client"], daq__seed=3, barriers__gap_m=0.002)
     client.wait_active("rig")
@@ -95,7 +95,7 @@ def test_other_modes_give_the_same_bits_for_the_same_journal(client: Client, mod
     assert same_as_resimulated(scans, journal) > 60
 
 
-def test_pause_holds_rig_time(client: Client) -> None:
+def test_a_pause_stops_rig_time(client: Client) -> None:
     host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -108,7 +108,7 @@ def test_pause_holds_rig_time(client: Client) -> None:
     client.wait_until(lambda: len(scans) > before, "rig time to go on")
 
 
-def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -> None:
+def test_a_pause_is_answered_when_all_published_blocks_are_processed(client: Client) -> None:
     """The next action (a reset, a new recording) then has no blocks of the past under way."""
     host_rig(client, "free_running", time__peers=["client"])
     client.wait_active("rig")
@@ -124,7 +124,7 @@ def test_a_pause_is_answered_when_everything_out_was_processed(client: Client) -
     assert [scans.tables()[received].stamp_ns] == resets, "the next block is the first after the reset"
 
 
-def test_services_do_not_answer_success_twice(client: Client) -> None:
+def test_a_repeated_pause_succeeds_and_keeps_the_rig_paused(client: Client) -> None:
     """A pause is a state, not a toggle."""
     host_rig(client)
     client.wait_active("rig")
@@ -159,7 +159,7 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
     assert node.refusals.counts.total() == 0
 
 
-def test_a_pause_holds_the_rest_of_a_step(client: Client) -> None:
+def test_a_pause_defers_the_remaining_blocks_of_a_step(client: Client) -> None:
     host_rig(client, time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
@@ -201,7 +201,7 @@ def test_a_reset_ends_a_step_that_waits(client: Client) -> None:
     assert len(scans) == 2
 
 
-def test_step_refuses_in_the_wrong_mode_and_answers_when_deactivated(client: Client) -> None:
+def test_a_step_is_rejected_in_the_wrong_mode_and_answered_on_deactivation(client: Client) -> None:
     host_rig(client, "realtime")
     client.wait_active("rig")
     with pytest.raises(ServiceFailedError, match="pause it first"):
@@ -228,7 +228,7 @@ def test_the_clock_runs_when_rig_time_is_not_real_time(client: Client, mode: str
         )
 
 
-def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -> None:
+def test_a_rig_slower_than_real_time_reports_it_and_still_answers(client: Client) -> None:
     """Ten thousand lossless bounces a second are valid, but at 1000 times real time too much for any machine."""
     host_rig(
         client, "realtime", drive__amplitude=0.52, time__factor=1000.0,
@@ -241,7 +241,7 @@ def test_a_rig_slower_than_real_time_says_so_and_still_answers(client: Client) -
     assert "could not keep real time" in client.status("rig").message, "it was late all the while"
 
 
-def test_blocks_longer_than_the_lag_that_is_given_up_come_in_real_time(client: Client) -> None:
+def test_blocks_longer_than_the_largest_lag_are_published_in_real_time(client: Client) -> None:
     """The lag counts within a block: a block of two seconds must not be given up halfway, again and again."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=2000)
     client.wait_active("rig")
@@ -259,7 +259,7 @@ def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: i
     assert calls == pytest.approx(round(calls), rel=1e-9)
 
 
-def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client) -> None:
+def test_a_pause_and_a_change_of_speed_keep_the_position_within_a_block(client: Client) -> None:
     """The pacer continues within the block; otherwise the rig would stand still for as long as the block has lasted."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=10_000)
     client.wait_active("rig")
@@ -272,7 +272,7 @@ def test_a_pause_and_another_speed_keep_what_there_is_of_a_block(client: Client)
         client.wait_until(lambda before=before: session.rig.frontier_ns > before, "rig time to go on", 0.3)
 
 
-def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resuming_a_running_rig_gives_up_no_time(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks that are due keep their time, because only a pause restarts the time base."""
     pacers = []
     made = Pacer.__init__
@@ -296,7 +296,7 @@ def test_going_on_while_running_gives_up_no_time(client: Client, monkeypatch: py
     assert due_ns() >= before + stood_ns, "as long as it stood still, and what pausing took"
 
 
-def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_paused_rig_updates_its_subscribers_at_each_step(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publishers, "GRAPH_POLL_S", 1000.0)  # a running one in real time looks now and then
     host_rig(client, "realtime")
     client.wait_active("rig")
@@ -307,7 +307,7 @@ def test_a_paused_rig_looks_at_each_step_who_listens(client: Client, monkeypatch
     client.wait_until(lambda: len(states) == 2, "the true states of four blocks")
 
 
-def test_a_subscriber_that_has_the_scans_of_a_block_has_all_of_it(client: Client) -> None:
+def test_a_subscriber_with_the_scans_of_a_block_has_the_complete_block(client: Client) -> None:
     """If scans were published before the rest of a block, they would leave a killed recorder without the rest."""
     host_rig(client, daq__block_scans=2000)
     client.wait_active("rig")

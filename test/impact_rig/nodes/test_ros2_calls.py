@@ -55,7 +55,7 @@ def test_topics_services_parameters_and_states_answer_as_documented(client: Clie
     assert calls.count > 50
 
 
-def test_a_call_that_does_not_answer_as_documented_is_told() -> None:
+def test_a_call_that_does_not_answer_as_documented_is_reported() -> None:
     said: list[str] = []
     calls = Calls(said.append)
     calls.hold("ros2 topic info /nowhere", as_documented=False, found="none")

@@ -178,7 +178,7 @@ def user(client: Client, monkeypatch: pytest.MonkeyPatch) -> User:
     return user
 
 
-def test_without_the_package_nothing_is_offered(client: Client) -> None:
+def test_no_standard_service_is_offered_without_the_interface_package(client: Client) -> None:
     node = host_rig(client)
     types = {kind for _name, kinds in node.get_service_names_and_types_by_node("rig", "/") for kind in kinds}
     assert "std_srvs/srv/Trigger" in types
@@ -188,7 +188,7 @@ def test_without_the_package_nothing_is_offered(client: Client) -> None:
 @pytest.mark.parametrize(
     ("absent", "features"), [("", [20, 22, 24, 25, 26, 31, 32]), ("StepSimulation", range(20, 27))]
 )
-def test_what_is_offered_is_said_feature_by_feature(
+def test_the_offered_features_are_listed(
     user: User, monkeypatch: pytest.MonkeyPatch, absent: str, features: Any
 ) -> None:
     if absent:
@@ -202,7 +202,7 @@ def test_what_is_offered_is_said_feature_by_feature(
 
 
 @pytest.mark.parametrize("mode", ["realtime", "free_running"])
-def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> None:
+def test_a_rig_can_be_paused_stepped_stopped_and_played(user: User, mode: str) -> None:
     client = user.client
     node = host_rig(client, mode, time__peers=["client"])
     assert user.state == STOPPED, "it has not begun"
@@ -239,7 +239,7 @@ def test_a_rig_is_paused_stepped_stopped_and_played(user: User, mode: str) -> No
     assert node.refusals.counts["exception"] == 0
 
 
-def test_a_reset_is_of_the_state_alone(user: User) -> None:
+def test_a_reset_supports_only_the_scope_of_the_state(user: User) -> None:
     client = user.client
     host_rig(client, "lockstep", time__peers=["client"])
     client.wait_active("rig")
@@ -270,7 +270,7 @@ def test_a_reset_is_of_the_state_alone(user: User) -> None:
     assert user.set(17)[0] == Result.RESULT_FEATURE_UNSUPPORTED
 
 
-def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> None:
+def test_a_restarted_rig_is_not_reported_as_stopped(user: User) -> None:
     """A new rig, paused at the time at which the previous one was stopped, does not report STOPPED, and takes steps."""
     client = user.client
     host_rig(client, "lockstep", time__peers=["client"])
@@ -287,7 +287,7 @@ def test_a_rig_that_begins_anew_is_not_the_one_that_was_stopped(user: User) -> N
         assert user.state == PAUSED
 
 
-def test_a_pause_is_answered_when_the_peers_are_done(user: User) -> None:
+def test_a_pause_is_answered_when_the_peers_have_acknowledged(user: User) -> None:
     client = user.client
     host_rig(client, "free_running", time__peers=["client"])
     scans = client.collect("daq/scan")
@@ -300,7 +300,7 @@ def test_a_pause_is_answered_when_the_peers_are_done(user: User) -> None:
     assert answers[0].result.result == Result.RESULT_OK
 
 
-def test_a_rig_that_is_told_to_quit_says_so(user: User) -> None:
+def test_a_rig_that_is_asked_to_quit_reports_it(user: User) -> None:
     node = host_rig(user.client)
     assert user.set(QUITTING) == (Result.RESULT_OK, "")
     assert user.state == QUITTING

@@ -41,7 +41,7 @@ def assert_rendered(message, stamp_ns: int, values: dict[str, float]) -> None:
 
 
 @given(STAMPS, st.floats(), st.floats())
-def test_doubles_and_the_stamp_are_written_where_they_stand(stamp_ns: int, x: float, z: float) -> None:
+def test_the_template_writes_doubles_and_the_stamp_at_their_positions(stamp_ns: int, x: float, z: float) -> None:
     message = Imu()
     message.header.frame_id = "superior_base"
     assert_rendered(message, stamp_ns, {"linear_acceleration.x": x, "angular_velocity.z": z})
@@ -52,11 +52,11 @@ SINGLE = st.floats(-(2.0**127), 2.0**127, width=32) | st.sampled_from([math.inf,
 
 
 @given(STAMPS, SINGLE)
-def test_single_precision_is_found_as_well(stamp_ns: int, distance: float) -> None:
+def test_the_template_writes_fields_of_single_precision(stamp_ns: int, distance: float) -> None:
     assert_rendered(Range(radiation_type=Range.INFRARED), stamp_ns, {"range": distance})
 
 
 @given(STAMPS, st.floats(), st.floats())
-def test_elements_of_sequences_are_found_as_well(stamp_ns: int, first: float, last: float) -> None:
+def test_the_template_writes_elements_of_sequences(stamp_ns: int, first: float, last: float) -> None:
     message = JointState(name=["base", "sphere"], position=[0.0, 0.0], effort=[0.0, 0.0])
     assert_rendered(message, stamp_ns, {"position.0": first, "effort.1": last})

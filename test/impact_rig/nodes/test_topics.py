@@ -30,7 +30,7 @@ from impact_rig.nodes.messages import TOPICS
 pytestmark = pytest.mark.ros
 
 
-def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
+def test_nodes_publish_exactly_the_topics_of_the_table(client: Client) -> None:
     host_rig(client)
     client.host(AnalysisNode)
     client.wait_active("rig", "analysis")
@@ -57,7 +57,9 @@ def test_nodes_publish_the_table_and_nothing_else(client: Client) -> None:
     [(10_000, 100, 2_500), (50_000, 500, 780), (10_000, 5_000, 100)],
     ids=["25 s", "16 MB of scans of 41 bytes", "at least 100"],
 )
-def test_scans_are_kept_for_who_does_not_answer(client: Client, rate_hz: int, block_scans: int, blocks: int) -> None:
+def test_the_queue_of_scans_bridges_25_seconds_or_16_megabytes(
+    client: Client, rate_hz: int, block_scans: int, blocks: int
+) -> None:
     node = host_rig(client, daq__rate_hz=rate_hz, daq__block_scans=block_scans)
     client.wait_active("rig")
     assert node.outputs["daq/scan"].qos_profile.depth == blocks

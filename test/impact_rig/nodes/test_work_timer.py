@@ -70,7 +70,7 @@ def instants(wait_s: float, count: int, next_waits_s: Sequence[float] = ()) -> l
 @pytest.mark.parametrize(
     ("wait_s", "expected_s"), [(0.004, 0.004), (0.0, 1e-6), (-0.101, 0.009), (-0.0999, 0.0001), (0.0255, 0.0055)]
 )
-def test_what_is_overdue_waits_for_the_next_call_in_step(wait_s: float, expected_s: float) -> None:
+def test_an_overdue_call_waits_for_the_next_call_in_step(wait_s: float, expected_s: float) -> None:
     assert instants(wait_s, 4) == pytest.approx([expected_s + number * PERIOD_S for number in range(4)])
 
 
@@ -83,6 +83,6 @@ def test_calls_that_are_late_for_a_while_are_put_in_step(wait_s: float) -> None:
     assert steps[LATE_CALLS - 1 :] == pytest.approx([wait_s % PERIOD_S, PERIOD_S, PERIOD_S])
 
 
-def test_calls_in_step_are_left_alone() -> None:
+def test_calls_in_step_are_not_moved() -> None:
     found = instants(0.001, 3 * LATE_CALLS, [0.003, 0.0095] * (3 * LATE_CALLS // 2))
     assert found == pytest.approx([0.001 + number * PERIOD_S for number in range(3 * LATE_CALLS)])

@@ -65,17 +65,17 @@ def tables() -> dict[str, mp.matrix]:
 
 
 @pytest.mark.parametrize("name", ["STAGE_AT", "MATRIX", "INVERSE", "TO_START", "TO_POLYNOMIAL"])
-def test_a_table_is_the_exact_one_rounded(tables, name):
+def test_each_table_is_the_exact_one_rounded(tables, name):
     exact = tables[name]
     rounded = np.array([[float(mp.re(exact[i, j])) for j in range(exact.cols)] for i in range(exact.rows)])
     assert np.array_equal(np.squeeze(rounded), getattr(collocation, name))
 
 
-def test_the_filter_of_the_estimate_is_the_real_eigenvalue(tables):
+def test_the_filter_of_the_error_estimate_is_the_real_eigenvalue(tables):
     assert float(mp.re(tables["REAL_EIGENVALUE"])) == collocation.REAL_EIGENVALUE
 
 
-def test_the_quadrature_is_that_of_gauss_and_legendre():
+def test_the_quadrature_is_gauss_legendre():
     with mp.workdps(DIGITS):
         legendre = mp.taylor(lambda x: mp.legendre(8, x), 0, 8)
         nodes = sorted(mp.polyroots(legendre, maxsteps=500, extraprec=500, asc=True))

@@ -62,7 +62,7 @@ def test_every_law_of_the_folder_is_found():
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_a_law_says_where_it_is_from_and_what_it_brings(law):
+def test_a_law_states_formula_and_source_and_has_only_fields_of_its_section(law):
     assert law.formula
     assert "|" not in law.formula
     assert law.source
@@ -72,7 +72,7 @@ def test_a_law_says_where_it_is_from_and_what_it_brings(law):
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
 @pytest.mark.parametrize("law", LAWS)
-def test_a_contact_returns_what_the_law_says_it_returns(law, e):
+def test_a_contact_has_the_restitution_that_its_law_predicts(law, e):
     told = from_config(Contact(law=law, restitution=e)).realised_restitution()
     assert hit(0.3, law=law, restitution=e).restitution == pytest.approx(told, rel=TOLERANCE)
 
@@ -85,18 +85,18 @@ def test_hysteretic_laws_obey_the_closed_form(law, e):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_published_returns_for_035(law):
+def test_published_restitutions_for_a_nominal_035_are_reproduced(law):
     assert hit(0.5, law=law, restitution=0.35).restitution == pytest.approx(LAWS[law].returns, abs=5e-4)
 
 
-def test_the_nominal_restitution_that_makes_flores_return_035():
+def test_the_nominal_restitution_for_a_real_035_with_flores_is_known():
     assert hit(0.5, law="flores", restitution=0.38803).restitution == pytest.approx(0.35, abs=5e-6)
     assert hunt_crossley.factor_returning(0.35) == pytest.approx(2.52338, abs=5e-6)
 
 
 @pytest.mark.parametrize("e", [LEAST_RESTITUTION, 0.35, 0.99])
 @pytest.mark.parametrize("law", [law for law in OF_HYSTERETIC_FORM if law != "hertz"])
-def test_calibration_exact_returns_the_asked_restitution(law, e):
+def test_exact_calibration_yields_the_requested_restitution(law, e):
     got = hit(0.2, law=law, restitution=e, calibration="exact")
     assert got.restitution == pytest.approx(e, rel=TOLERANCE)
 
@@ -110,7 +110,7 @@ def test_restitution_does_not_depend_on_speed_or_masses(speed, structure_kg):
 
 @pytest.mark.parametrize("speed", [0.01, 0.5, 5.0])
 @pytest.mark.parametrize("structure_kg", [1e9, 2e-3])
-def test_hertz_indentation_duration_and_impulse(speed, structure_kg):
+def test_indentation_duration_and_impulse_of_hertz_are_the_closed_forms(speed, structure_kg):
     got = hit(speed, structure_kg=structure_kg, law="hertz")
     mass = sphere_kg() * structure_kg / (sphere_kg() + structure_kg)
     deepest = (1.25 * mass * speed**2 / stiffness()) ** 0.4
@@ -148,7 +148,7 @@ def hysteretic_contact(factor: float, speed: float, mass: float, k: float) -> tu
 
 @pytest.mark.parametrize("speed", [0.05, 0.5, 1.0])
 @pytest.mark.parametrize("law", ["flores", "lee_wang", "exact"])
-def test_duration_indentation_and_peak_force_of_hysteretic_laws(law, speed):
+def test_duration_indentation_and_force_of_hysteretic_laws_agree_with_the_phase_plane(law, speed):
     got = hit(speed, law=law, restitution=0.35)
     duration, indentation, force = hysteretic_contact(
         LAWS[law](0.35).hysteresis_factor(), speed, sphere_kg(), stiffness()
@@ -158,7 +158,7 @@ def test_duration_indentation_and_peak_force_of_hysteretic_laws(law, speed):
     assert got.peak_force == pytest.approx(force, rel=TOLERANCE)
 
 
-def test_flores_numbers_of_an_independent_program():
+def test_peak_forces_of_flores_agree_with_an_independent_program():
     """It printed 138.9 N at 1 m/s, but as the force grows with v^1.2 its own 60.5 N at 0.5 m/s makes that 139.0 N."""
     factor = LAWS["flores"](0.35).hysteresis_factor()
     slow, fast = (hysteretic_contact(factor, speed, 1.0524e-3, 4.403e9) for speed in (0.5, 1.0))
@@ -168,7 +168,7 @@ def test_flores_numbers_of_an_independent_program():
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)
-def test_kelvin_voigt_released_at_zero_indentation(e):
+def test_kelvin_voigt_released_at_zero_indentation_is_the_closed_form(e):
     """Nagurka and Huang: the contact lasts t_c and returns e; both exactly."""
     got = hit(0.5, law="kelvin_voigt", restitution=e, contact_time_s=60e-6)
     assert got.restitution == pytest.approx(e, rel=TOLERANCE)
@@ -180,7 +180,7 @@ def test_kelvin_voigt_released_at_zero_indentation(e):
     )
 
 
-def test_kelvin_voigt_released_at_zero_force_returns_more():
+def test_kelvin_voigt_released_at_zero_force_has_a_larger_restitution():
     got = hit(0.5, law="kelvin_voigt", restitution=0.35, release="force")
     assert got.restitution == pytest.approx(0.434, abs=5e-4)
     assert from_config(Contact(law="kelvin_voigt", release="force")).realised_restitution() == pytest.approx(
@@ -188,7 +188,7 @@ def test_kelvin_voigt_released_at_zero_force_returns_more():
     )
 
 
-def test_instantaneous_restitution_takes_no_time_and_shares_momentum():
+def test_an_instantaneous_contact_takes_no_time_and_conserves_momentum():
     got = hit(0.5, structure_kg=1e-3, law="restitution", restitution=0.35)
     mass = sphere_kg() * 1e-3 / (sphere_kg() + 1e-3)
     assert (got.duration, got.peak_indentation) == (0.0, 0.0)
@@ -199,7 +199,7 @@ def test_instantaneous_restitution_takes_no_time_and_shares_momentum():
 
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "restitution"])
-def test_the_force_never_pulls_and_its_integrals_are_impulse_and_loss(law, e):
+def test_contact_forces_never_pull_and_integrate_to_impulse_and_loss(law, e):
     got = hit(0.5, law=law, restitution=e, release="force")
     t = got.begin_s + np.linspace(0.0, 1.0, 20001)[1:-1] * got.duration
     force = of(got.motion, "force_right", t)
@@ -219,7 +219,7 @@ def test_the_force_never_pulls_and_its_integrals_are_impulse_and_loss(law, e):
 
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
 @pytest.mark.parametrize("law", LAWS)
-def test_the_energy_lost_is_what_the_speeds_say(law, e):
+def test_the_energy_lost_follows_from_the_speeds(law, e):
     got = hit(0.5, structure_kg=3e-3, law=law, restitution=e)
     mass = sphere_kg() * 3e-3 / (sphere_kg() + 3e-3)
     before, after = (0.5 * mass * speed**2 for speed in (got.approach_speed, got.separation_speed))
@@ -228,7 +228,7 @@ def test_the_energy_lost_is_what_the_speeds_say(law, e):
 
 
 @given(st.floats(0.0, 1e4))
-def test_realised_restitution_solves_its_equation(factor):
+def test_the_realised_restitution_solves_its_equation(factor):
     e = hunt_crossley.realised(factor)
     assert 0.0 < e <= 1.0
     if factor > 1e-3:
@@ -238,18 +238,18 @@ def test_realised_restitution_solves_its_equation(factor):
 
 
 @given(st.floats(1e-4, 1.0))
-def test_factor_and_restitution_are_inverse(e):
+def test_damping_factor_and_restitution_are_inverse_functions(e):
     assert hunt_crossley.realised(hunt_crossley.factor_returning(e)) == pytest.approx(e, rel=1e-9)
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.0099, -0.1, 1.0001, math.nan])
 @pytest.mark.parametrize("law", LAWS)
-def test_a_law_refuses_an_impossible_restitution(law, wrong):
+def test_a_law_rejects_an_impossible_restitution(law, wrong):
     with pytest.raises(ConfigError, match=rf"restitution must be >= 0.01 and <= 1, got {wrong}"):
         LAWS[law](wrong)
 
 
-def test_the_speed_at_which_a_barrier_yields():
+def test_the_speed_at_which_a_barrier_yields_is_the_documented_one():
     """Hertz, as in docs/explanation/limits.md: p = (2/π) E* √(δ/R), K = 4/3 E* √R, δ elastic; p ~ v^(2/5)."""
     text = (Path(__file__).parents[3] / "docs" / "explanation" / "limits.md").read_text(encoding="utf-8")
     stated = r"put ([\d.]+) GPa .*?yield stress\s+([\d.]+) GPa\).*?reached at ([\d.]+) m/s"
@@ -261,7 +261,7 @@ def test_the_speed_at_which_a_barrier_yields():
     assert speed == pytest.approx((1.6 * yield_gpa * 1e9 / pressure) ** 2.5, abs=0.0006)
 
 
-def test_what_a_contact_returns_does_not_depend_on_the_one_that_was_integrated_before():
+def test_a_contact_does_not_depend_on_the_previous_one():
     """The pull of the columns that one had been integrated with once stayed for the next."""
     force = from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
     contacts = outcome.Contacts(unit_parameters(force), compiled_force(force.function))

@@ -59,7 +59,7 @@ def run(config: RigConfig, per_call: int, rate_hz: float = 0.0) -> tuple[bytes, 
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_impacts_and_samples_do_not_depend_on_the_cuts(name):
+def test_impacts_and_samples_do_not_depend_on_the_division_into_segments(name):
     impacts, samples = run(CONFIGS[name], SEGMENTS)
     assert len(impacts) > 0, "no impacts: the test tests nothing"
     for per_call in (1, 7, 100):
@@ -75,7 +75,7 @@ def test_impacts_do_not_depend_on_the_sampling_rate(rate_hz):
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_sample_does_not_depend_on_what_else_is_sampled(name):
+def test_a_sample_does_not_depend_on_the_other_samples(name):
     motion = Simulation(CONFIGS[name]).advance(drive()[:120])
     generator = np.random.default_rng(1)
     segment = np.sort(generator.integers(0, 120, 3000))
@@ -99,7 +99,7 @@ def test_a_replay_is_bit_identical_after_reset():
     assert simulation.advance(segments).impacts.tobytes() == first
 
 
-def test_no_segments_no_motion():
+def test_an_empty_list_of_segments_yields_no_motion():
     simulation = Simulation(rig())
     motion = simulation.advance(np.zeros(0, SEGMENT))
     assert len(motion.impacts) == 0

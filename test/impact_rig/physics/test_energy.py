@@ -53,20 +53,20 @@ def assert_closed(energy: EnergyAccount, tolerance: float = TOLERANCE) -> None:
 
 
 @pytest.mark.parametrize("gap", GAPS_M)
-def test_the_balance_closes_over_a_thousand_cycles_at_constant_current(gap):
+def test_the_energy_balance_closes_over_a_thousand_cycles_at_constant_current(gap):
     energy, _ = account(rig(barriers={"gap_m": gap}), 0.52, 1000)
     assert_closed(energy)
     assert energy.shaker > 0.0
 
 
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "hertz"])
-def test_the_balance_closes_for_every_law(law):
+def test_the_energy_balance_closes_for_every_law(law):
     energy, impacts = account(benchmark_rig(contact={"law": law, "release": "force"}), 60e-6, 300)
     assert impacts > 500
     assert_closed(energy)
 
 
-def test_hertz_loses_nothing_in_its_contacts():
+def test_contacts_of_hertz_lose_no_energy():
     simulation = Simulation(benchmark_rig(contact={"law": "hertz"}), account=True)
     simulation.place(x_1=-4e-3, d_rate=0.15)
     simulation.advance(on_ticks(60e-6, 300))
@@ -77,7 +77,7 @@ def test_hertz_loses_nothing_in_its_contacts():
 
 @pytest.mark.parametrize("before", ["prescribed", "current", "voltage"])
 @pytest.mark.parametrize("after", ["prescribed", "current", "voltage"])
-def test_another_kind_of_drive_leaves_nothing_of_the_one_before(before, after):
+def test_a_change_of_the_kind_of_drive_keeps_no_state_of_the_previous_one(before, after):
     """A coil fed with current once kept, and stored the energy of, what its contacts under voltage had left behind."""
     amplitude = {"prescribed": 3e-4, "current": 0.52, "voltage": 5.0}
     changed, fresh = (
@@ -117,7 +117,7 @@ LINEAR = {"contact.law": "kelvin_voigt"}
         (9, {"drive.amplitude": 1e-7, "shaker.ramp_s": 60.0}),
     ],
 )
-def test_the_balance_closes_where_it_was_hard(seconds, values):
+def test_the_energy_balance_closes_in_difficult_cases(seconds, values):
     """Long rests under a linear law, bases that jump in speed or place, tiny spheres, and hardly any motion."""
     config = from_flat(RigConfig(), values)
     simulation = Simulation(config, account=True)
@@ -132,13 +132,13 @@ def test_the_balance_closes_where_it_was_hard(seconds, values):
 @pytest.mark.parametrize("kind", ["prescribed", "current", "voltage"])
 @pytest.mark.parametrize("gap", GAPS_M)
 @pytest.mark.parametrize("law", LAWS)
-def test_the_balance_closes_for_every_law_gap_and_drive(law, gap, kind):
+def test_the_energy_balance_closes_for_every_law_gap_and_drive(law, gap, kind):
     amplitude = {"prescribed": 60e-6, "current": 0.52, "voltage": 2.0}[kind]
     energy, _ = account(rig(drive={"kind": kind}, contact={"law": law}, barriers={"gap_m": gap}), amplitude, 1000)
     assert abs(energy.imbalance) <= TOLERANCE * abs(energy.work), energy
 
 
-def test_friction_takes_its_share():
+def test_friction_dissipates_its_force_times_the_distance():
     """A sphere sliding on a rig at rest loses its kinetic energy at μ m g per metre."""
     config = limit_case(
         drive={"kind": "prescribed"},
@@ -159,20 +159,20 @@ def test_friction_takes_its_share():
 
 @pytest.mark.parametrize("kind", ["prescribed", "current"])
 @pytest.mark.parametrize("law", ["flores", "restitution"])
-def test_the_balance_closes_with_friction(law, kind):
+def test_the_energy_balance_closes_with_friction(law, kind):
     config = rig(drive={"kind": kind}, contact={"law": law}, sphere={"guide_friction": 0.1})
     energy, _ = account(config, {"prescribed": 60e-6, "current": 0.52}[kind], 200)
     assert_closed(energy)
     assert energy.friction > 0.0
 
 
-def test_the_account_does_not_change_the_motion():
+def test_the_energy_account_does_not_change_the_motion():
     config, drive = rig(), sine(9.1, 0.52, 0.01, 500)
     plain, kept = Simulation(config).advance(drive), Simulation(config, account=True).advance(drive)
     assert plain.impacts.tobytes() == kept.impacts.tobytes()
 
 
-def test_without_an_account_a_base_that_jumps_does_no_work_either():
+def test_a_base_that_jumps_does_no_work_without_an_energy_account_either():
     config = rig(drive={"kind": "prescribed"})
     jump = np.concatenate([sine(9.1, amplitude, 0.01, phase=1.0) for amplitude in (1e-3, 2e-3)])
     for account, works in ((True, True), (False, False)):
@@ -181,7 +181,7 @@ def test_without_an_account_a_base_that_jumps_does_no_work_either():
         assert (simulation.energy().work != 0.0) == works
 
 
-def test_contact_losses_are_the_impacts_sum():
+def test_contact_losses_are_the_sum_over_impacts():
     config = rig()
     simulation = Simulation(config)
     motion = simulation.advance(sine(9.1, 0.52, 0.01, 1000))

@@ -51,7 +51,7 @@ def ends(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     st.lists(st.tuples(st.floats(5.0, 200.0), st.floats(0.0, 5.0), st.integers(1, 2_000)), min_size=1, max_size=6),
     st.sampled_from([0.0, 0.1, 0.3]),
 )
-def test_a_sine_is_computed_from_its_last_change_and_its_ramp_to_the_last_bit(changes, ramp_s):
+def test_a_sine_follows_from_its_last_change_and_ramp_to_the_last_bit(changes, ramp_s):
     """The rows agree with the formulas and libm's exact fmod; every phase is within a turn."""
     made, ramp = generator(ramp_s=ramp_s), math.ceil(ramp_s / TICK_S - 1e-9)
     made.segments(40)
@@ -75,7 +75,7 @@ def test_a_sine_is_computed_from_its_last_change_and_its_ramp_to_the_last_bit(ch
 
 
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
-def test_a_drive_has_no_jumps_but_at_the_chirps_return(waveform):
+def test_a_drive_is_continuous_except_where_a_chirp_restarts(waveform):
     start, end = ends(generator(waveform=waveform, ramp_s=0.3).segments(500))
     assert np.abs(start[1:] - end[:-1]).max() <= 1e-12
 
@@ -87,7 +87,7 @@ def test_a_drive_has_no_jumps_but_at_the_chirps_return(waveform):
         min_size=1, max_size=8,
     )
 )  # fmt: skip
-def test_neither_commands_nor_a_drifting_clock_leave_a_jump(waveform, changes):
+def test_commands_and_a_drifting_clock_cause_no_jump(waveform, changes):
     """A chirp once went on, after each of them, from the phase that a sine would have had."""
     made = generator(waveform=waveform, ramp_s=0.1)
     rows = [made.segments(3)]
@@ -103,7 +103,7 @@ def test_neither_commands_nor_a_drifting_clock_leave_a_jump(waveform, changes):
 
 @pytest.mark.parametrize("waveform", ["sine", "chirp"])
 @pytest.mark.parametrize("ticks", [1, 5, 700])
-def test_the_phase_that_is_told_is_the_one_of_the_next_segment(waveform, ticks):
+def test_the_reported_phase_is_that_of_the_next_segment(waveform, ticks):
     """Generators report the phase of a chirp, not that of a sine at its first frequency."""
     made = generator(waveform=waveform)
     made.segments(ticks)
@@ -112,14 +112,14 @@ def test_the_phase_that_is_told_is_the_one_of_the_next_segment(waveform, ticks):
 
 
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
-def test_cuts_change_no_bit(waveform):
+def test_a_drive_does_not_depend_on_the_division_into_calls(waveform):
     whole = generator(waveform=waveform, ramp_s=0.2).segments(700)
     made = generator(waveform=waveform, ramp_s=0.2)
     parts = np.concatenate([made.segments(count) for count in (1, 2, 7, 190, 500)])
     assert parts.tobytes() == whole.tobytes()
 
 
-def test_a_million_ticks_later_the_phase_is_still_that_of_the_frequency():
+def test_the_phase_is_exact_after_a_million_ticks():
     """9.1 Hz and 10 ms: 0.091 turns per tick, exact in integers of a thousandth of a turn."""
     made = generator(frequency_hz=9.1)
     for _ in range(10):
@@ -138,14 +138,14 @@ def test_a_ramp_is_linear_and_ends_at_its_target():
     assert not rows["growth"][20:].any()
 
 
-def test_a_chirp_sweeps_from_one_frequency_to_the_other_and_begins_again():
+def test_a_chirp_sweeps_between_its_frequencies_and_restarts():
     rows = generator(waveform="chirp", frequency_hz=5.0, chirp_end_hz=15.0, chirp_s=2.0).segments(400)
     frequency = rows["omega"] / (2.0 * math.pi)
     assert frequency[:200] == pytest.approx(5.0 + 10.0 * np.arange(200) / 200)
     assert (frequency[200:] == frequency[:200]).all()
 
 
-def test_a_chirp_goes_on_where_the_scan_clock_begins_to_err():
+def test_a_chirp_is_continuous_when_the_clock_starts_to_drift():
     """A phase counted from the start would jump, after hours of sweeps, by minutes of the clock's error."""
     made = generator(waveform="chirp", frequency_hz=5.0, chirp_end_hz=15.0, chirp_s=60.0)
     made.tick = 600_000
@@ -154,7 +154,7 @@ def test_a_chirp_goes_on_where_the_scan_clock_begins_to_err():
     assert made.segments(1)["omega"][0] - before == pytest.approx(2.0 * math.pi * 10.0 / 6000, rel=1e-6)
 
 
-def test_noise_is_seeded_and_keeps_to_its_band_and_level():
+def test_noise_is_reproducible_and_has_the_given_band_and_level():
     band = {"waveform": "random", "random_low_hz": 5.0, "random_high_hz": 15.0}
     level = generator(**band).segments(200_000)["amplitude"]
     assert level.tobytes() == generator(**band).segments(200_000)["amplitude"].tobytes()
@@ -167,7 +167,7 @@ def test_noise_is_seeded_and_keeps_to_its_band_and_level():
 
 
 @pytest.mark.parametrize("wrong", [0.0, -9.1, math.nan, math.inf])
-def test_an_impossible_frequency_is_refused(wrong):
+def test_an_impossible_frequency_is_rejected(wrong):
     made = generator()
     before = made.frequency_hz
     with pytest.raises(CommandError, match=f"frequency must be > 0 Hz, got {wrong}"):
@@ -176,6 +176,6 @@ def test_an_impossible_frequency_is_refused(wrong):
 
 
 @pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf])
-def test_an_impossible_amplitude_is_refused(wrong):
+def test_an_impossible_amplitude_is_rejected(wrong):
     with pytest.raises(CommandError, match=f"amplitude must be >= 0, got {wrong}"):
         generator().set_amplitude(wrong)

@@ -41,7 +41,7 @@ def settled(config: RigConfig, frequency_hz: float, amplitude: float, name: str)
 
 
 @pytest.mark.parametrize("frequency_hz", FREQUENCIES_HZ)
-def test_transmissibility_of_a_prescribed_base(frequency_hz):
+def test_the_transmissibility_of_a_prescribed_base_is_the_closed_form(frequency_hz):
     config = prescribed(sphere={"present": False})
     got = settled(config, frequency_hz, 1e-4, "x_1") / settled(config, frequency_hz, 1e-4, "x_b")
     assert got == pytest.approx(transmissibility(config, frequency_hz), rel=TOLERANCE)
@@ -60,7 +60,7 @@ def test_a_run_that_starts_on_the_steady_state_stays_there():
     assert np.abs(got - wanted).max() <= 1e-11 * abs(x)
 
 
-def test_the_peak_is_where_the_formula_says():
+def test_the_peak_of_the_transmissibility_is_at_the_predicted_frequency():
     config = prescribed(sphere={"present": False})
     zeta = config.structure.damping_ratio
     r = math.sqrt((math.sqrt(1.0 + 8.0 * zeta**2) - 1.0) / (4.0 * zeta**2))
@@ -78,7 +78,7 @@ def shaker_response(config: RigConfig, frequency_hz: float, force_per_unit: comp
 
 
 @pytest.mark.parametrize("frequency_hz", FREQUENCIES_HZ)
-def test_base_at_constant_current(frequency_hz):
+def test_the_base_at_constant_current_is_the_closed_form(frequency_hz):
     config = rig(sphere={"present": False})
     wanted = 0.52 * shaker_response(config, frequency_hz)
     assert settled(config, frequency_hz, 0.52, "x_b") == pytest.approx(wanted, rel=TOLERANCE)
@@ -88,7 +88,7 @@ def test_base_at_constant_current(frequency_hz):
 
 
 @pytest.mark.parametrize("frequency_hz", [5.0, 9.105, 48.5, 200.0])
-def test_a_published_shaker_at_constant_voltage(frequency_hz):
+def test_a_published_shaker_at_constant_voltage_is_the_closed_form(frequency_hz):
     """LDS V203: the coil's current is (V − K v_b) / (R + jωL), and the base follows it."""
     config = rig(
         sphere={"present": False},
@@ -112,7 +112,7 @@ def test_a_published_shaker_at_constant_voltage(frequency_hz):
 
 
 @pytest.mark.parametrize("zeta", [1e-6, 0.0045, 0.3, 0.95])
-def test_free_decay_of_the_locked_rig(zeta):
+def test_the_free_decay_of_the_locked_rig_is_the_closed_form(zeta):
     config = rig(structure={"damping_ratio": zeta}, sphere={"present": False})
     simulation = Simulation(config)
     simulation.pluck(5e-3)
@@ -126,7 +126,7 @@ def test_free_decay_of_the_locked_rig(zeta):
     assert not motion.quantity("x_b", np.arange(500), np.zeros(500)).any()
 
 
-def test_a_locked_rig_goes_on_with_another_configuration():
+def test_a_locked_rig_adopts_a_new_configuration():
     """It decays as the new structure does, and its sphere begins at the new wall.
 
     Before, only `config` showed the change: structure, gap and law stayed those of the pluck until the reset.
@@ -149,7 +149,7 @@ def test_a_locked_rig_goes_on_with_another_configuration():
     assert simulation.state()[5] == -1e-3
 
 
-def test_a_state_put_back_knows_no_friction_of_a_sphere_that_is_not_there():
+def test_a_restored_state_without_a_sphere_has_no_friction():
     """Once the guide's friction then pushed the structure to one side, and was booked as a loss."""
     simulation = Simulation(rig(sphere={"present": False, "guide_friction": 0.3}), account=True)
     simulation.advance(sine(9.1, 0.5, 0.01, 37))
@@ -162,7 +162,7 @@ def test_a_state_put_back_knows_no_friction_of_a_sphere_that_is_not_there():
     assert abs(twin.energy().imbalance) < 1e-12 * twin.energy().work
 
 
-def test_logarithmic_decrement_gives_the_damping_ratio():
+def test_the_logarithmic_decrement_yields_the_damping_ratio():
     config = rig(sphere={"present": False})
     simulation = Simulation(config)
     simulation.pluck(5e-3)
@@ -174,7 +174,7 @@ def test_logarithmic_decrement_gives_the_damping_ratio():
     assert decrement / math.hypot(TWO_PI, decrement) == pytest.approx(zeta, rel=1e-9)
 
 
-def test_a_centred_sphere_in_a_wide_gap_is_never_touched():
+def test_a_centred_sphere_in_a_wide_gap_never_touches_a_wall():
     simulation = Simulation(rig(sphere={"start": "centre"}, barriers={"gap_m": 10.001e-3}))
     simulation.pluck(5e-3)
     simulation.place(x_1=5e-3, d=-5e-3)  # at rest at zero: pluck has put it on the moved rig's centre

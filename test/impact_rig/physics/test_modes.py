@@ -41,7 +41,7 @@ def scaled(m: np.ndarray) -> np.ndarray:
     return units[np.newaxis, :] / units[:, np.newaxis]
 
 
-def test_only_one_of_each_conjugate_pair_is_kept_slow_real_modes_first() -> None:
+def test_one_mode_of_each_conjugate_pair_is_kept_slow_real_modes_first() -> None:
     modes = linear.modes(matrix("voltage"))
     assert modes.rate.imag[0] == 0.0
     assert np.all(np.diff(modes.rate.imag) > 0.0)
@@ -58,7 +58,7 @@ def test_modes_agree_with_those_of_lapack(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mass_kg", [1e-3, 0.13, 99.0])
-def test_modes_make_up_the_identity_and_the_matrix(kind: str, mass_kg: float) -> None:
+def test_modes_sum_to_the_identity_and_the_matrix(kind: str, mass_kg: float) -> None:
     m = matrix(kind, structure__mass_kg=mass_kg)
     modes = linear.modes(m)
     projectors = [np.outer(right, left) for right, left in zip(modes.right, modes.left, strict=True)]
@@ -70,9 +70,7 @@ def test_modes_make_up_the_identity_and_the_matrix(kind: str, mass_kg: float) ->
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_modes_do_not_depend_on_the_values_that_refinement_starts_from(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_modes_do_not_depend_on_the_start_values_of_the_refinement(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     m = matrix(kind)
     exact = linear.modes(m)
     rough = np.linalg.eigvals
@@ -87,7 +85,7 @@ def test_modes_do_not_depend_on_the_values_that_refinement_starts_from(
         assert all(np.array_equal(new, old) for new, old in zip(again, exact, strict=True))
 
 
-def test_critical_damping_is_nudged_apart() -> None:
+def test_coinciding_modes_of_critical_damping_are_separated() -> None:
     omega = 50.0
     m = np.array([[0.0, 1.0], [-omega * omega, -2.0 * omega]])
     modes = linear.modes(m)
@@ -95,7 +93,7 @@ def test_critical_damping_is_nudged_apart() -> None:
     assert modes.rate[0] != modes.rate[1]
 
 
-def test_a_matrix_without_modes_is_refused() -> None:
+def test_a_matrix_without_modes_is_rejected() -> None:
     with pytest.raises(ConfigError, match="separable"):
         linear.modes(np.zeros((2, 2)))
     with pytest.raises(ConfigError, match="out of range"):
@@ -103,7 +101,7 @@ def test_a_matrix_without_modes_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_position_of_rest_stays(kind: str) -> None:
+def test_the_static_response_balances_the_force(kind: str) -> None:
     m = matrix(kind)
     push = np.zeros(len(m))
     push[1] = 7.0
@@ -111,12 +109,12 @@ def test_the_position_of_rest_stays(kind: str) -> None:
     np.testing.assert_allclose(m @ rest, -push, rtol=0.0, atol=LAST_DIGITS * (np.abs(m) @ np.abs(rest)).max())
 
 
-def test_no_position_of_rest_without_stiffness() -> None:
+def test_a_rig_without_stiffness_has_no_static_response() -> None:
     with pytest.raises(ConfigError, match="rest"):
         linear.static_answer(np.array([[0.0, 1.0], [0.0, -1.0]]), np.array([0.0, 1.0]))
 
 
-def test_a_change_of_the_gap_computes_no_mode_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_change_of_the_gap_does_not_recompute_the_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     config = RigConfig()
     before = model.build(config)
     monkeypatch.setattr(linear, "_refined", lambda _: pytest.fail("modes were computed again"))

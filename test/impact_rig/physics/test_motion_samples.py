@@ -79,7 +79,7 @@ def test_speeds_and_accelerations_are_derivatives(case, position, speed, acceler
 
 
 @pytest.mark.parametrize("name", ["x_b", "v_b", "x_1", "x_2", "current"])
-def test_what_cannot_jump_does_not(case, name):
+def test_positions_and_speeds_are_continuous(case, name):
     _, motion = case
     segment, offset = motion.breakpoints()
     inner = np.flatnonzero(offset > 0.0)
@@ -162,7 +162,7 @@ def test_instants_may_have_any_shape(case):
     assert motion.sample(np.array(11), np.array(0.0)) == motion.sample(np.array([11]), np.array([0.0]))[0]
 
 
-def test_instants_outside_the_motion_are_refused():
+def test_instants_outside_the_motion_are_rejected():
     simulation = Simulation(rig())
     simulation.advance(sine(9.1, 1.0, TICK_S, 5))
     motion = simulation.advance(sine(9.1, 1.0, TICK_S, 5))
@@ -173,7 +173,7 @@ def test_instants_outside_the_motion_are_refused():
         motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
 
 
-def test_motions_of_one_simulation_do_not_disturb_each_other():
+def test_motions_of_one_simulation_are_independent():
     """They share their scratch memory: asked in turn they say what each says alone."""
     simulation = Simulation(CONFIGS["current"])
     simulation.place(x_1=-4e-3, d_rate=0.1)
@@ -190,7 +190,7 @@ def test_motions_of_one_simulation_do_not_disturb_each_other():
         assert np.concatenate(both).tobytes() == one.tobytes()
 
 
-def test_a_log_that_is_full_where_a_touch_begins_a_tick_changes_nothing():
+def test_a_full_log_at_a_touch_on_the_start_of_a_tick_changes_nothing():
     """The sphere crosses half the gap in a tick: it touches 0 s into the next one, which begins with two states."""
     motions = []
     for rows in (10 * ROWS_PER_PHASE, ROWS_PER_PHASE + 1):
@@ -245,7 +245,7 @@ def test_fundamentals_of_cycles_are_those_of_the_samples(changes, left_out, phas
 
 
 @pytest.mark.parametrize("turns", [0.5, 1.001, 2.0])
-def test_what_is_no_cycle_has_no_fundamental(turns):
+def test_an_incomplete_cycle_has_no_fundamental(turns):
     motion = Simulation(rig()).advance(sine(9.1, 0.5, turns / 9.1, 3))
     with pytest.raises(ValueError, match="one complete cycle"):
         motion.cycles()
@@ -270,7 +270,7 @@ def test_a_step_of_a_contact_is_one_polynomial_to_a_millionth(law):
         assert np.abs(fitted - exact).max() < 1e-6 * np.abs(exact).max()
 
 
-def test_a_step_of_a_contact_that_ends_with_the_segment_ends_there():
+def test_a_step_of_a_contact_that_ends_with_the_segment_loses_no_time():
     """An end within the resolution of events must count as a pause: the contact must lose no time, and continue."""
     config = rig(drive={"kind": "prescribed"}, contact={"law": "kelvin_voigt"})
 

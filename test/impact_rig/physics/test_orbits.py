@@ -38,7 +38,7 @@ def started(case: Case, o: Orbit, cycles: int, config: RigConfig) -> Motion:
 
 
 @pytest.mark.parametrize("case", [*STABLE, UNSTABLE])
-def test_the_formula_gives_the_published_table(case):
+def test_the_formula_yields_the_published_table(case):
     o = orbit(case)
     assert o.speed / (o.omega * NO_IMPACT_AMPLITUDE_M) == pytest.approx(case.speed, abs=6e-7)
     # and is an orbit: half a period later the mirror image arrives at the left wall
@@ -49,7 +49,7 @@ def test_the_formula_gives_the_published_table(case):
     )
 
 
-def test_a_force_on_the_structure_is_a_base_motion():
+def test_a_force_on_the_structure_is_equivalent_to_a_base_motion():
     """The force row maps to a base whose k_1 x_b + c_1 v_b has the force's amplitude: X_s = |F| |H| / k_1."""
     case = STABLE[0]
     config, o = case.config(), orbit(case)
@@ -77,7 +77,7 @@ def test_instantaneous_impacts_stay_on_the_orbit(case):
     assert np.abs(times[:100] / half - np.arange(1, 101)).max() <= 1e-9
 
 
-def test_the_unstable_orbit_is_left():
+def test_the_motion_leaves_an_unstable_orbit():
     """Spectral radius 1.557 per half period: 1e-12 has grown a thousand million times after 50 of them."""
     o = orbit(UNSTABLE)
     motion = started(UNSTABLE, o, 600, UNSTABLE.config())
@@ -86,7 +86,7 @@ def test_the_unstable_orbit_is_left():
     assert len(late) / 300 == pytest.approx(2.5, abs=0.02), "it should settle at 2.5 impacts per cycle"
 
 
-def test_a_compliant_contact_converges_to_the_orbit_as_it_stiffens():
+def test_the_orbit_of_a_compliant_contact_converges_as_it_stiffens():
     """Contact time falls as K^−0.4, and with it the distance to the orbit of the instantaneous law."""
     case = STABLE[2]
     o = orbit(case)

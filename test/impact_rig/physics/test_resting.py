@@ -48,7 +48,7 @@ def narrow(law: str, kind: str = "current") -> RigConfig:
 
 @pytest.mark.parametrize("kind", AMPLITUDES)
 @pytest.mark.parametrize("law", ["flores", "kelvin_voigt"])
-def test_a_rest_does_not_depend_on_the_tolerance(law, kind):
+def test_resting_does_not_depend_on_the_tolerance(law, kind):
     plain, tight = (run(narrow(law, kind), rtol) for rtol in (CONTACT_RTOL, 1e-4 * CONTACT_RTOL))
     assert len(plain.impacts) == len(tight.impacts)
     rest, same = (longest(motion) for motion in (plain, tight))
@@ -79,13 +79,13 @@ def test_a_resting_sphere_and_the_base_move_as_one_body(kind):
 
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.9])
 @pytest.mark.parametrize("law", LAWS)
-def test_chatter_neither_stalls_nor_crawls(law, e):
+def test_chatter_is_simulated_in_bounded_time(law, e):
     config = rig(contact={"law": law, "restitution": e}, barriers={"gap_m": 1e-3})
     segment, _ = run(config, cycles=40).breakpoints()
     assert len(segment) / 40 < 3000, "steps per cycle"
 
 
-def test_rides_and_impacts_follow_each_other_on_both_walls():
+def test_rests_and_impacts_alternate_on_both_walls():
     motion = run(narrow("flores"), cycles=100)
     begin = motion.impacts["tick"] * CYCLE_S + motion.impacts["offset"]
     assert (np.diff(begin) >= motion.impacts["duration"][:-1]).all()

@@ -119,7 +119,7 @@ def test_impacts_under_noise_agree_with_an_independent_integration():
 
 
 @pytest.mark.parametrize(("ticks", "ramp_s"), [(30, 1.0), (12, 1.0), (15, 0.02)], ids=["at rest", "longer", "shorter"])
-def test_a_drive_that_ramps_for_want_of_samples_goes_on_from_where_it_is(ticks, ramp_s):
+def test_a_ramp_after_missing_samples_continues_from_the_present_level(ticks, ramp_s):
     """The drive ramps down from its present level within the new ramp time.
 
     A position on the ramp that is kept in samples would let a drive long at rest jump to nine tenths of its last sample

@@ -27,7 +27,7 @@ from impact_rig.physics import Simulation
 
 @pytest.mark.parametrize("law", ["flores", "kelvin_voigt", "restitution"])
 @pytest.mark.parametrize("gap", [0.5e-3, 6e-3])
-def test_the_mirror_image_of_a_start_gives_the_mirror_image_of_the_run(law, gap):
+def test_a_mirrored_start_yields_the_mirrored_run(law, gap):
     config = rig(contact={"law": law}, barriers={"gap_m": gap})
     runs = []
     for sign in (1.0, -1.0):
@@ -50,7 +50,7 @@ def test_the_mirror_image_of_a_start_gives_the_mirror_image_of_the_run(law, gap)
     assert np.abs(x[0] + x[1]).max() <= 1e-12 * np.abs(x[0]).max()
 
 
-def test_a_later_start_gives_a_later_run():
+def test_a_later_start_yields_the_same_run_later():
     """The segments' number means nothing: only phases do."""
     config = rig()
     early, late = Simulation(config), Simulation(config)
@@ -62,7 +62,7 @@ def test_a_later_start_gives_a_later_run():
     assert all((a[name] == b[name]).all() for name in a.dtype.names if name != "tick")
 
 
-def test_lengths_scale_where_contacts_take_no_time():
+def test_lengths_scale_with_the_drive_if_contacts_take_no_time():
     """Twice the drive, gap and start give twice the motion."""
     runs = []
     for scale in (1.0, 2.0):
@@ -75,7 +75,7 @@ def test_lengths_scale_where_contacts_take_no_time():
     assert two["offset"][:8] == pytest.approx(one["offset"][:8], rel=1e-9)
 
 
-def test_hertz_peak_scales_with_the_power_of_the_speed():
+def test_the_peak_force_of_hertz_scales_with_a_power_of_the_speed():
     slow, fast = hit(0.1, law="hertz"), hit(1.0, law="hertz")
     assert fast.peak_force / slow.peak_force == pytest.approx(10.0**1.2, rel=1e-7)
     assert fast.peak_indentation / slow.peak_indentation == pytest.approx(10.0**0.8, rel=1e-7)
@@ -93,7 +93,7 @@ def test_a_contact_conserves_momentum(law):
     assert 4e-3 * (v_1[1] - v_1[0]) == pytest.approx(got.impulse, rel=1e-7)
 
 
-def test_a_heavier_structure_with_a_heavier_sphere_moves_alike():
+def test_a_heavier_structure_with_a_heavier_sphere_moves_identically():
     """Only ratios of masses, and K/m, matter under a prescribed base."""
     small = rig(drive={"kind": "prescribed"})
     large = attrs.evolve(

@@ -28,7 +28,7 @@ OMEGA = TWO_PI * FREQUENCY_HZ
 
 
 @pytest.mark.parametrize("excess", [1e-3, 1e-6, 1e-9, 1e-12, -1e-12, -1e-9, -1e-6])
-def test_a_grazing_touch(excess):
+def test_a_grazing_touch_is_found_exactly_if_the_peak_exceeds_half_the_gap(excess):
     """The base swings freely about a sphere at rest; its peak passes half the gap by `excess` of it, or stays below."""
     config = prescribed(structure={"damping_ratio": ZETA}, barriers={"gap_m": GAP_M}, contact={"law": "restitution"})
     simulation = Simulation(config)
@@ -50,7 +50,7 @@ def test_a_grazing_touch(excess):
 
 
 @pytest.mark.parametrize("speed", [50.0, 5e3])
-def test_every_wall_of_a_fast_sphere(speed):
+def test_a_fast_sphere_meets_every_wall(speed):
     """A sphere far faster than the base meets the walls at e^n of its speed, one after another, in one segment."""
     e, gap = 0.9, 1e-3
     config = limit_case(
@@ -70,7 +70,7 @@ def test_every_wall_of_a_fast_sphere(speed):
 
 
 @pytest.mark.parametrize("gap", [1e-6, 1e-4, 2e-3, 6e-3, 30e-3])
-def test_no_instant_of_a_run_is_outside_the_walls(gap):
+def test_the_sphere_is_never_outside_the_walls(gap):
     """With instantaneous contacts the distance never exceeds half the gap by more than rounding."""
     simulation = Simulation(rig(contact={"law": "restitution"}, barriers={"gap_m": gap}))
     motion = simulation.advance(sine(9.1, 0.52, 0.01, 500))

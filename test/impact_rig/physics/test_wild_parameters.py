@@ -169,7 +169,7 @@ def assert_sane(config: RigConfig, amplitude: float, speed: float) -> int:
 @settings(max_examples=200)
 @given(st.data())
 @pytest.mark.repeats
-def test_any_rig_runs_and_makes_no_energy(data):
+def test_any_rig_runs_and_creates_no_energy(data):
     config = data.draw(configs())
     impacts = assert_sane(config, data.draw(amplitudes(config)), data.draw(SPEEDS))
     event(f"impacts: {next(n for n in (1000, 100, 10, 1, 0) if impacts >= n)} or more")
@@ -183,12 +183,12 @@ def test_any_rig_runs_and_makes_no_energy(data):
         ({"sphere.diameter_m": 0.05}, "must not outweigh the superior base"),
     ],
 )
-def test_what_cannot_be_resolved_is_refused_at_the_start(values, rule):
+def test_a_rig_that_cannot_be_resolved_is_rejected_at_the_start(values, rule):
     with pytest.raises(ConfigError, match=re.escape(rule)):
         Rig(from_flat(RigConfig(), values))
 
 
-def test_random_legal_configurations_keep_their_energy():
+def test_random_valid_configurations_conserve_energy():
     """A slice of what `qualification/legal_configurations.py` tries, numbers of its first seed."""
     ends = Counter()
     for index in range(24):
@@ -200,7 +200,7 @@ def test_random_legal_configurations_keep_their_energy():
 
 
 @pytest.mark.parametrize("found", FOUND, ids=lambda found: found["story"])
-def test_rigs_that_once_broke_the_mechanics(found):
+def test_extreme_rigs_run_and_conserve_energy(found):
     sections = {"shaker": {}} | found["rig"]
     sections["shaker"] |= ANY_FREQUENCY
     with attrs.validators.disabled():  # some are beyond the ranges
@@ -227,7 +227,7 @@ def test_rigs_that_once_broke_the_mechanics(found):
         ("drive", "amplitude", -1.0, ">= 0"),
     ],
 )
-def test_nonsense_is_refused_by_name(section, key, value, rule):
+def test_invalid_parameters_are_rejected_by_name(section, key, value, rule):
     with pytest.raises(ConfigError) as refused:
         rig(**{section: {key: value}})
     message = str(refused.value)

@@ -125,7 +125,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
             yield Bench(client, processes, directory, domain_id)
 
 
-def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Path) -> None:
+def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path) -> None:
     np.savez(tmp_path / "wave.npz", drive=0.3 * np.sin(2.0 * np.pi * 9.1 * np.arange(5_000) / 10_000), fs=10_000.0)
     program = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())", "drive", "play"]
     words = [
@@ -160,7 +160,7 @@ def test_a_file_is_played_to_a_rig_that_runs_already(bench: Bench, tmp_path: Pat
     bench.wait(lambda: bench.told("end") == bench.told("begin") == 1, "the end of the stream")
 
 
-def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: Bench) -> None:
+def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_again(bench: Bench) -> None:
     """The recorder is stopped together with the controller; at the end of this file, it must have every block."""
     with bench.controller("feedback"):
         late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
@@ -176,21 +176,21 @@ def test_one_that_is_stopped_and_goes_on_is_late_and_then_in_force_again(bench: 
         bench.wait(lambda: bench.told("begin") > begun, "samples again")
 
 
-def test_one_ten_times_too_fast_is_refused_what_no_buffer_holds(bench: Bench) -> None:
+def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_fast(bench: Bench) -> None:
     refused = bench.state("refused")
     with bench.controller("fast"):
         bench.wait(lambda: bench.state("refused") > refused + 10, "refusals")
         assert bench.state("buffered") <= 2.0 * 10_000
 
 
-def test_one_ten_times_too_slow_is_in_force_now_and_then(bench: Bench) -> None:
+def test_a_controller_ten_times_too_slow_is_followed_only_at_times(bench: Bench) -> None:
     begun, ended = bench.told("begin"), bench.told("end")
     with bench.controller("slow"):
         bench.wait(lambda: bench.told("begin") >= begun + 5, "five blocks")
         assert bench.told("end") >= ended + 4
 
 
-def test_nothing_of_it_is_lost_and_the_recording_verifies(bench: Bench) -> None:
+def test_the_recording_of_all_controllers_is_complete_and_verified(bench: Bench) -> None:
     assert bench.client.state("rig") == "active"
     bench.client.trigger("recorder/stop")
     path = bench.directory / "run"

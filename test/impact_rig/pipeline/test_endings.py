@@ -79,7 +79,7 @@ def threads_of_dds(process: int) -> list[Path]:
     return [thread for thread in threads if (thread / "comm").read_text().startswith("dds.")]
 
 
-def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start(
+def test_killed_processes_leave_a_readable_file_and_do_not_block_the_next_start(
     processes: Processes, tmp_path: Path
 ) -> None:
     """SIGKILL ends all, the reader first; then the same again on the same domain, with each available signal."""
@@ -128,7 +128,7 @@ def test_killed_processes_leave_a_readable_file_and_do_not_hinder_the_next_start
     assert not left, "who ends in order leaves nothing in shared memory"
 
 
-def test_a_suspended_rig_and_a_suspended_peer_go_on_without_a_lost_block(processes: Processes, tmp_path: Path) -> None:
+def test_a_suspended_rig_or_peer_resumes_without_a_lost_block(processes: Processes, tmp_path: Path) -> None:
     """In free-running mode the rig waits for a stopped peer and names it; its own stop does not count."""
     start_all(
         processes, tmp_path / "run", "free_running",
@@ -167,7 +167,7 @@ BAD_STARTS = {
 
 
 @pytest.mark.parametrize("what", BAD_STARTS)
-def test_a_start_that_cannot_be_understood_ends_with_one_clear_line(what: str, tmp_path: Path) -> None:
+def test_an_invalid_start_ends_with_one_clear_line(what: str, tmp_path: Path) -> None:
     arguments, content, reason = BAD_STARTS[what]
     path = tmp_path / "mine.yaml"
     if content is not None:

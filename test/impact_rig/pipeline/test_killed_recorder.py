@@ -85,12 +85,12 @@ def kill_and_recover(live: Live, directory: Path, after_s: float, stopped_s: flo
 
 
 @pytest.mark.parametrize("after_s", [1.17])
-def test_a_killed_recorder_loses_nothing_it_has_acknowledged(live: Live, tmp_path: Path, after_s: float) -> None:
+def test_a_killed_recorder_loses_no_acknowledged_block(live: Live, tmp_path: Path, after_s: float) -> None:
     kill_and_recover(live, tmp_path, after_s)
 
 
 @pytest.mark.parametrize("after_s", [0.2])
-def test_a_recorder_that_is_killed_after_a_suspension_loses_nothing_it_has_acknowledged(
+def test_a_recorder_killed_after_a_suspension_loses_no_acknowledged_block(
     live: Live, tmp_path: Path, after_s: float
 ) -> None:
     """The middleware has dropped messages meanwhile, and repeats those of one topic before those of another."""
@@ -99,7 +99,7 @@ def test_a_recorder_that_is_killed_after_a_suspension_loses_nothing_it_has_ackno
 
 @pytest.mark.slow
 @pytest.mark.parametrize("after_s", np.random.default_rng(12).uniform(0.0, 6.0, 20).round(3).tolist())
-def test_a_recorder_that_is_killed_after_a_suspension_loses_nothing_it_has_acknowledged_at_any_instant(
+def test_a_recorder_killed_at_any_instant_after_a_suspension_loses_no_block(
     live: Live, tmp_path: Path, after_s: float
 ) -> None:
     kill_and_recover(live, tmp_path, after_s, stopped_s=3.0)
@@ -107,7 +107,7 @@ def test_a_recorder_that_is_killed_after_a_suspension_loses_nothing_it_has_ackno
 
 @pytest.mark.slow
 @pytest.mark.parametrize("after_s", np.random.default_rng(11).uniform(1.0, 4.0, 20).round(3).tolist())
-def test_a_killed_recorder_loses_nothing_it_has_acknowledged_at_any_instant(
+def test_a_recorder_killed_at_any_instant_loses_no_acknowledged_block(
     live: Live, tmp_path: Path, after_s: float
 ) -> None:
     kill_and_recover(live, tmp_path, after_s)

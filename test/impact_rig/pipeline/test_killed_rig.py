@@ -53,7 +53,7 @@ def driven(tmp_path: Path) -> Iterator[tuple[Client, Processes]]:
             yield client, processes
 
 
-def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Client, Processes]) -> None:
+def test_a_command_to_a_dead_rig_fails_and_does_not_move_a_later_rig(driven: tuple[Client, Processes]) -> None:
     client, processes = driven
     began = time.monotonic()
     with pytest.raises(RigGoneError, match=r"shaker/current = 0\.5: the rig is gone: no report"):
@@ -78,7 +78,7 @@ def test_a_command_to_a_dead_rig_is_over_and_moves_no_later_one(driven: tuple[Cl
     assert client.command(current_a=0.2)["current"] == 0.2, "and this one is its own"
 
 
-def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Processes]) -> None:
+def test_a_client_that_waits_while_another_rig_starts_gets_an_error(driven: tuple[Client, Processes]) -> None:
     """The rig is replaced within two seconds: the command belongs to the first rig, and its sender gets an error."""
     client, processes = driven
     client.given("nothing")  # it was there a moment ago
@@ -90,7 +90,7 @@ def test_who_waits_while_another_rig_begins_is_told(driven: tuple[Client, Proces
     assert client.figures("rig")["current_a"] == "0"
 
 
-def test_what_was_given_to_a_suspended_rig_is_not_done_when_it_goes_on(tmp_path: Path) -> None:
+def test_a_rig_drops_old_commands_when_it_resumes_after_a_suspension(tmp_path: Path) -> None:
     """The command waits in the rig's queues, while its sender learns that the rig is gone. STOP works however late."""
     with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
         processes.start("rig")

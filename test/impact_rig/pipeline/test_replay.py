@@ -99,7 +99,7 @@ def content(tables: list[Table]) -> list[tuple[int, bytes]]:
     return [(table.stamp_ns, table.rows.tobytes()) for table in tables]
 
 
-def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, run: Path) -> None:
+def test_a_live_analysis_of_a_replay_reproduces_its_results(client: Client, run: Path) -> None:
     """The replay is as fast as the analysis follows, far faster than real time, and loses no block."""
     client.host(AnalysisNode)
     client.wait_active("analysis")
@@ -125,7 +125,7 @@ def test_a_live_analysis_finds_in_a_replay_what_it_found_before(client: Client, 
     assert scans.tables()[0].stamp_ns < times[-1] <= scans.tables()[-1].stamp_ns + TICK_NS
 
 
-def test_real_time_takes_its_time_and_ctrl_c_ends_a_loop(client: Client, run: Path) -> None:
+def test_a_replay_in_real_time_is_paced_and_ctrl_c_ends_a_loop(client: Client, run: Path) -> None:
     with replay(client, run, "--rate", "30", "--loop", "--delay", "0") as player:
         scans = client.collect("daq/scan", timeout_s=30.0)
         monitors = client.collect("laser", timeout_s=30.0)  # a round takes half a second: it may be the second by now
@@ -158,7 +158,7 @@ def test_a_single_topic_can_be_replayed(client: Client, run: Path) -> None:
         (("--delay", "nan"), "must be a number of seconds from 0 to 3600"),
     ],
 )
-def test_what_cannot_be_replayed_is_refused(client: Client, run: Path, options: tuple[str, ...], words: str) -> None:
+def test_an_impossible_replay_is_rejected(client: Client, run: Path, options: tuple[str, ...], words: str) -> None:
     with replay(client, run, *options) as player:
         output = finish(client, player, 2 if options[-1] in ("-1", "nan") else 1)
     assert words in " ".join(output.split())

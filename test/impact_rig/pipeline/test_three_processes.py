@@ -61,7 +61,7 @@ def start_all(processes: Processes, client: Client, tmp_path: Path, **rig: objec
     client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
 
 
-def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
+def test_a_run_in_lockstep_is_complete_and_agrees_with_its_journal(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """Published, recorded and re-simulated data are equal, and the recorded analysis is that of an offline tracker."""
@@ -95,7 +95,7 @@ def test_a_stepped_run_is_whole_and_is_what_its_journal_says(
     assert (measured["settled"] == 1).any()
 
 
-def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered(
+def test_a_killed_process_is_named_with_its_last_output_and_its_file_is_recovered(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     start_all(processes, client, tmp_path, time__mode="free_running")
@@ -120,7 +120,7 @@ def test_a_killed_process_is_named_with_its_last_words_and_its_file_is_recovered
     assert stamps[-1] >= last_ns > 0, "what the recorder has acknowledged is on disk"
 
 
-def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
+def test_real_time_survives_a_suspension_and_a_second_rig_in_the_same_namespace(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """SIGSTOP lasts longer than the pacer can catch up: time is given up and reported; stamps stay contiguous."""
@@ -149,7 +149,7 @@ def test_realtime_survives_a_suspension_and_a_second_rig_in_its_place(
     assert processes.stop() == {"rig": 0}
 
 
-def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
+def test_a_run_in_real_time_is_complete_from_scan_0_and_is_reproduced(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
     """Started like by the launch file: recorder and analysis start after the rig, which waits for them."""
@@ -189,7 +189,7 @@ def test_a_run_in_real_time_is_whole_from_scan_0_on_and_is_found_again(
         assert counts["truth/joint_states"] == sum(stamp < end_ns for stamp in stamps)
 
 
-def test_a_recording_begun_in_mid_run_is_not_accused(processes: Processes, client: Client, tmp_path: Path) -> None:
+def test_a_recording_that_starts_during_a_run_is_valid(processes: Processes, client: Client, tmp_path: Path) -> None:
     """Scans reach the recorder some blocks before the calibration and the drive, which are latched."""
     processes.start("rig", {**RIG, "time.peers": ("analysis",), "sphere.present": False})
     processes.start("analysis", {"gap_m": 0.0})

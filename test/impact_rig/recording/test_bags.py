@@ -79,7 +79,7 @@ PRESETS = {
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_preset_is_read(native, tmp_path, preset):
+def test_a_file_of_every_preset_is_read(native, tmp_path, preset):
     path = rewrite(native, tmp_path / "bag.mcap", **PRESETS[preset])
     assert content(path) == content(native)
     found = info(path)
@@ -91,7 +91,7 @@ def test_every_preset_is_read(native, tmp_path, preset):
     assert some == [one for one in wanted if one[1] >= found.start_ns + 50_000_000]
 
 
-def test_info_says_which_checksums_exist(native, tmp_path):
+def test_info_reports_which_checksums_exist(native, tmp_path):
     """A checksum of 0 means that there is none."""
     without = rewrite(native, tmp_path / "without.mcap", enable_crcs=False)
     assert info(without).verdict.startswith("its messages carry no checksums, 30 blocks of daq/scan without a gap")
@@ -135,7 +135,7 @@ WITHOUT = {  # options of rosbag2's storage configuration that leave out parts o
 
 
 @pytest.mark.parametrize("option", WITHOUT)
-def test_a_bag_without_a_part_of_its_index_is_refused_with_advice_that_works(native, tmp_path, option):
+def test_a_bag_with_an_incomplete_index_is_rejected_with_advice_that_works(native, tmp_path, option):
     options, reason = WITHOUT[option]
     path = rewrite(native, tmp_path / "bag.mcap", **options)
     with pytest.raises(RecordingError, match=rf"bag\.mcap: {reason}; impact-rig recover saves the intact chunks"):
@@ -186,7 +186,7 @@ def test_recovery_keeps_the_schemas_and_metadata_of_other_programs(tmp_path, kin
         assert run.topics["/log"].count == 30
 
 
-def test_messages_that_are_compressed_one_by_one_are_read(native, tmp_path):
+def test_individually_compressed_messages_are_read(native, tmp_path):
     path = rewrite(native, tmp_path / "bag.mcap", zstandard.ZstdCompressor().compress)
     assert content(path) == content(native)
     assert info(path).intact
@@ -194,14 +194,14 @@ def test_messages_that_are_compressed_one_by_one_are_read(native, tmp_path):
     assert content(tmp_path / "out") == content(native), "what is given back is plain, as its metadata.yaml says"
 
 
-def test_a_message_that_claims_too_much_is_refused(native, tmp_path):
+def test_a_message_that_claims_an_excessive_size_is_rejected(native, tmp_path):
     bomb = zstandard.ZstdCompressor().compress(bytes(64 * 2**20))
     path = rewrite(native, tmp_path / "bomb.mcap", lambda data: bomb if b"gap" in data else data)
     with pytest.raises(RecordingError, match=r"bomb\.mcap: a compressed message states .*; impact-rig recover"):
         content(path)
 
 
-def test_a_channel_without_a_schema_is_legal(native, tmp_path):
+def test_a_channel_without_a_schema_is_valid(native, tmp_path):
     path = tmp_path / "json.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -231,7 +231,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("shape", WRITERS)
-def test_a_bag_of_another_driver_is_counted_right(tmp_path, shape):
+def test_messages_in_a_bag_of_another_driver_are_counted_correctly(tmp_path, shape):
     """A bag of 30 strings in 0.29 s without scans, in each valid shape: it must not be called damaged or incomplete."""
     (tmp_path / "bag").mkdir()
     file, topics = tmp_path / "bag" / "bag_0.mcap", {"/notes": 30}
@@ -265,13 +265,13 @@ def convert(source: Path, target: Path, *options: str) -> Path:
 
 
 @pytest.mark.parametrize("options", [(), ("--compress", "zstd", "--compress-mode", "message")])
-def test_bags_of_another_writer_hold_the_same(native, tmp_path, options):
+def test_bags_of_another_writer_have_the_same_content(native, tmp_path, options):
     bag = convert(native, tmp_path / "bag", "--dst-storage", "mcap", *options)
     assert sorted(content(bag)) == sorted(content(native))
     assert info(bag).scans.whole
 
 
-def test_a_bag_in_sqlite_is_refused_with_a_command_that_helps(native, tmp_path):
+def test_a_bag_in_sqlite_is_rejected_with_a_command_that_converts_it(native, tmp_path):
     bag = convert(native, tmp_path / "bag", "--dst-storage", "sqlite3")
     for read in (open_run, info, lambda path: recover(path, tmp_path / "out")):
         with pytest.raises(RecordingError, match=r"in SQLite, only MCAP is read; .*ros2 bag convert.*rosbags-convert"):
@@ -280,7 +280,7 @@ def test_a_bag_in_sqlite_is_refused_with_a_command_that_helps(native, tmp_path):
     assert sorted(content(again)) == sorted(content(native))
 
 
-def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_a_command_that_helps(native, tmp_path):
+def test_a_bag_compressed_as_a_file_is_rejected_with_a_command_that_converts_it(native, tmp_path):
     bag = convert(native, tmp_path / "bag", "--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "file")
     for read in (open_run, lambda path: recover(path, tmp_path / "out")):
         with pytest.raises(RecordingError, match=r"compressed as a whole .*; unpack it \(zstd -d\), or convert"):
@@ -291,7 +291,7 @@ def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_a_command_that_help
     assert sorted(content(bag)) == sorted(content(native)), "metadata.yaml still lists the packed file"
 
 
-def test_files_are_read_in_the_order_that_metadata_lists(record, tmp_path):
+def test_files_are_read_in_the_order_of_metadata_yaml(record, tmp_path):
     with record(max_file_bytes=30_000, chunk_bytes=10_000) as writer:
         fill(writer, 60)
     before = content(writer.directory)
@@ -303,7 +303,7 @@ def test_files_are_read_in_the_order_that_metadata_lists(record, tmp_path):
     assert content(bag) == before, "a file that is not listed is not part of it"
 
 
-def test_older_metadata_with_the_folder_in_front_is_read(native, tmp_path):
+def test_older_metadata_with_the_folder_in_paths_is_read(native, tmp_path):
     bag = tmp_path / "bag"
     shutil.copytree(native, bag)
     path = bag / "metadata.yaml"
@@ -319,7 +319,7 @@ def test_older_metadata_with_the_folder_in_front_is_read(native, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["index", "statistics"])
-def test_a_topic_that_is_in_no_index_is_missed(native, tmp_path, what):
+def test_a_topic_that_is_in_no_index_is_reported_as_missing(native, tmp_path, what):
     """The messages are in the chunks, but no reader that uses the index can find them."""
     from impact_rig.recording.records import CHUNK_INDEX, STATISTICS
 

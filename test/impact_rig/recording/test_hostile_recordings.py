@@ -64,7 +64,7 @@ def programs() -> Iterator[Any]:
         if command != "export" or what not in REFUSED  # it opens them as `info` does, and takes three times as long
     ],
 )
-def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(
+def test_a_hostile_recording_costs_little_and_is_rejected_in_one_line(
     programs: Any, tmp_path: Path, command: str, what: str
 ) -> None:
     victim = tmp_path / "victim"
@@ -81,7 +81,7 @@ def test_a_hostile_recording_costs_little_and_is_answered_in_one_line(
 
 @pytest.mark.ros
 @pytest.mark.parametrize("command", ["replay", "verify", "analyze"])
-def test_a_recording_that_lies_about_time_and_names_is_answered_by_every_command(
+def test_every_command_handles_a_recording_with_false_times_and_names(
     programs: Any, tmp_path: Path, command: str
 ) -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
@@ -93,13 +93,13 @@ def test_a_recording_that_lies_about_time_and_names_is_answered_by_every_command
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_is_refused_names_its_limit_and_how_to_raise_it(tmp_path: Path, what: str) -> None:
+def test_a_rejection_names_the_limit_and_how_to_raise_it(tmp_path: Path, what: str) -> None:
     path = RECORDINGS[what](tmp_path)
     with pytest.raises(ImpactRigError, match=REFUSED[what]):
         open_run(path)
 
 
-def test_the_budget_can_be_raised_by_whom_it_protects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_can_raise_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     size = budget.CHUNK_BYTES + 1000
     path = TOOL["recording"](tmp_path / "large.mcap", TOOL["zeros"](size), count=1)
     with pytest.raises(BudgetError, match="bytes in a chunk"):
@@ -112,7 +112,7 @@ def test_the_budget_can_be_raised_by_whom_it_protects(tmp_path: Path, monkeypatc
         list(run.messages())
 
 
-def test_small_messages_are_counted_before_they_become_objects(tmp_path: Path) -> None:
+def test_small_messages_are_counted_before_they_are_decoded(tmp_path: Path) -> None:
     """A chunk within the limit of bytes can still contain a million messages."""
     most = budget.HELD_BYTES // budget.MESSAGE_BYTES
     path = TOOL["recording"](tmp_path / "many.mcap", [TOOL["message"](0, b"") * (most + 1)], count=3)
@@ -122,7 +122,7 @@ def test_small_messages_are_counted_before_they_become_objects(tmp_path: Path) -
         recover(path, tmp_path / "out")
 
 
-def test_an_index_that_lies_about_the_size_of_a_chunk_is_damage(tmp_path: Path) -> None:
+def test_an_index_with_a_wrong_chunk_size_counts_as_damage(tmp_path: Path) -> None:
     path = TOOL["recording"](tmp_path / "liar.mcap", TOOL["scans"]())
     data = bytearray(path.read_bytes())
     with open_run(path) as run:
@@ -134,7 +134,7 @@ def test_an_index_that_lies_about_the_size_of_a_chunk_is_damage(tmp_path: Path) 
         list(run.messages())
 
 
-def test_quality_of_service_is_read_by_field_and_never_expanded() -> None:
+def test_quality_of_service_is_read_by_field_without_expanding_aliases() -> None:
     def profiles(text: str) -> list[Any]:
         return TopicDescription(name="/a", type_name="b/msg/C", schema="", offered_qos_text=text).offered_qos_yaml()
 
@@ -145,7 +145,7 @@ def test_quality_of_service_is_read_by_field_and_never_expanded() -> None:
         assert profiles(text) == []
 
 
-def test_a_schema_of_blank_lines_is_read_in_one_go() -> None:
+def test_a_schema_of_blank_lines_is_read_in_linear_time() -> None:
     """A search that starts again from every line would need hours for this schema."""
     assert not starts_with_header("package/msg/Type", "\n" * 2_000_000)
     assert starts_with_header("package/msg/Type", "\n" * 1000 + "  std_msgs/Header header\n")

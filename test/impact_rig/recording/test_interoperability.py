@@ -100,7 +100,7 @@ def test_rosbags_reads_every_topic(run, bare_file):
     assert next(d.data for name, _, _, d in got if name == NOTES_TOPIC.name) == "gap 0 mm"
 
 
-def test_mcap_ros2_decodes_every_topic_from_the_schemas_in_the_file(run):
+def test_mcap_ros2_decodes_every_topic_with_the_schemas_in_the_file(run):
     writer, sent = run
     in_order = sorted(sent, key=lambda message: message.log_time)
     with writer.files[0].open("rb") as file:
@@ -140,7 +140,7 @@ def same_values(ours, theirs, store):
     return ours == theirs
 
 
-def test_every_message_type_of_the_rig_is_decoded_alike(tmp_path, every_type):
+def test_rosbags_and_mcap_ros2_decode_every_message_type_identically(tmp_path, every_type):
     store = get_typestore(Stores.ROS2_JAZZY)
     every_type.record(tmp_path / "run", store)
     with AnyReader([tmp_path / "run"], default_typestore=store) as reader:
@@ -161,7 +161,7 @@ def test_every_message_type_of_the_rig_is_decoded_alike(tmp_path, every_type):
         assert same_values(ours[3], theirs[3], store), ours[0]
 
 
-def test_metadata_yaml_field_by_field(record):
+def test_metadata_yaml_has_the_fields_of_rosbag2(record):
     with record() as writer:
         sent = fill(writer, 10, topics=(SCAN_TOPIC, APPLIED_TOPIC, NOTES_TOPIC, *ALL_TOPICS[3:]))
     info = metadata(writer.directory)
@@ -231,7 +231,7 @@ def test_an_empty_custom_data_is_written_as_yaml_cpp_does(run):
     assert "\n  custom_data: ~\n" in (run[0].directory / "metadata.yaml").read_text()
 
 
-def test_summary_channels_and_records_of_the_file(run):
+def test_the_file_has_the_summary_channels_and_records_of_rosbag2(run):
     writer, sent = run
     with writer.files[0].open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -267,20 +267,20 @@ def test_summary_channels_and_records_of_the_file(run):
     assert ours.items() >= PROVENANCE.to_record().items()
 
 
-def test_no_offered_profile_is_an_empty_list():
+def test_a_topic_without_offered_profiles_has_an_empty_list():
     assert type(SCAN_TOPIC)(name="/t", type_name="std_msgs/msg/String", schema="string data").offered_qos_text == "[]"
     assert OfferedQos().to_yaml()["deadline"] == INFINITE
 
 
 @pytest.mark.parametrize("type_name", RIG_TYPES)
-def test_schema_text_is_what_an_independent_parser_understands(type_name):
+def test_an_independent_parser_understands_the_schema_text(type_name):
     """rosbags computes the type hash from the text: if a line or a dependency were missing, the hash would differ."""
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema_text(type_name), type_name))
     assert store.hash_rihs01(type_name) == type_hash(type_name)
 
 
-def test_schema_text_separates_dependencies_like_rosbag2():
+def test_the_schema_text_separates_dependencies_like_rosbag2():
     parts = schema_text("geometry_msgs/msg/Vector3Stamped").split("\n" + "=" * 80 + "\n")
     assert [part.partition("\n")[0] for part in parts[1:]] == [
         "MSG: geometry_msgs/Vector3",
@@ -290,24 +290,24 @@ def test_schema_text_separates_dependencies_like_rosbag2():
 
 
 @pytest.mark.parametrize("type_name", sorted({topic.type_name for topic in TOPICS}))
-def test_without_ros_a_schema_is_the_one_of_an_installation(type_name, monkeypatch):
+def test_schemas_without_ros_equal_those_of_an_installation(type_name, monkeypatch):
     installed = schema_text(type_name)
     monkeypatch.setattr(description, "interface_prefixes", tuple)
     assert schema_text(type_name) == installed
 
 
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Nothing", "nowhere_msgs/msg/Thing"])
-def test_schema_of_an_absent_interface_says_where_it_looked(name):
+def test_the_error_of_an_absent_interface_names_the_searched_folders(name):
     with pytest.raises(RecordingError, match=rf"{name} is not installed: no .*\.msg in .*share"):
         schema_text(name)
 
 
-def test_a_name_that_is_no_type_is_refused():
+def test_an_invalid_type_name_is_rejected():
     with pytest.raises(RecordingError, match="is not the name of a message type"):
         schema_text("../../etc/passwd")
 
 
-def test_scan_stamps_are_log_times_and_headerless_messages_follow_the_newest_scan(run):
+def test_log_times_are_scan_stamps_or_those_of_the_newest_scan_without_a_header(run):
     _, sent = run
     last_of_block = [s.log_time for s in sent if s.topic == "/rig/shaker/frequency"]
     stamps = [codec.decode(scan_block(i)).stamp_ns for i in range(0, 40, 5)]

@@ -50,7 +50,7 @@ def test_an_existing_recording_is_never_touched(record, tmp_path):
     assert {path.name: path.read_bytes() for path in writer.directory.iterdir()} == before
 
 
-def test_a_directory_with_other_files_may_be_used(record, tmp_path):
+def test_a_directory_with_other_files_can_be_used(record, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "summary.json").write_text("{}")
     with record() as writer:
@@ -64,7 +64,7 @@ def test_two_writers_cannot_share_a_file(record, tmp_path):
 
 
 @pytest.mark.parametrize("where", ["file", "file/below"])
-def test_a_file_where_the_directory_should_be(record, tmp_path, where):
+def test_a_file_in_place_of_the_directory_is_reported(record, tmp_path, where):
     """This fails for root as well, unlike a directory without write permission."""
     (tmp_path / "file").write_text("mine")
     with pytest.raises(
@@ -74,12 +74,12 @@ def test_a_file_where_the_directory_should_be(record, tmp_path, where):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_a_directory_that_cannot_be_written(record):
+def test_a_directory_that_cannot_be_created_is_reported(record):
     with pytest.raises(RecordingError, match="cannot create the run directory /proc/self/run"):
         record("/proc/self/run")
 
 
-def test_unknown_compression_names_those_that_exist(record, tmp_path):
+def test_an_unknown_compression_is_rejected_with_a_list_of_the_known_ones(record, tmp_path):
     with pytest.raises(RecordingError, match="compression must be one of none, lz4, zstd, got 'gzip'"):
         record(compression="gzip")
     assert list((tmp_path / "run").iterdir()) == []
@@ -94,7 +94,7 @@ def test_a_message_of_an_unknown_topic_does_not_stop_the_run(record):
     assert len(stamps(writer.directory)) == 6
 
 
-def test_finish_twice_and_write_after_it(record):
+def test_a_finished_recording_can_be_finished_again_but_not_written(record):
     writer = record()
     fill(writer, 3)
     assert writer.finish() == writer.finish() == writer.directory
@@ -104,7 +104,7 @@ def test_finish_twice_and_write_after_it(record):
     writer.flush_due()
 
 
-def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
+def test_a_file_is_split_by_size_and_each_part_is_readable_by_itself(record):
     with record(max_file_bytes=60_000, chunk_bytes=20_000) as writer:
         sent = fill(writer, 120)
     names = [path.name for path in writer.files]
@@ -127,7 +127,7 @@ def test_a_file_is_split_by_size_and_each_part_stands_alone(record):
         assert sum(1 for _ in reader.messages()) == len(sent)
 
 
-def test_a_full_file_takes_no_further_message(record):
+def test_no_message_is_added_to_a_full_file(record):
     """A file of exactly the maximum size is full as well; here the size of the complete files is known beforehand."""
     alone = record("run1", max_file_bytes=10**9, chunk_bytes=20_000)
     alone.add_topic(SCAN_TOPIC)
@@ -256,7 +256,7 @@ def test_recording_stops_before_the_file_size_limit_and_is_finished(tmp_path):
         assert [time for c, time, _ in reader.messages() if c.topic == "/rig/daq/scan"] == kept
 
 
-def test_a_write_that_fails_unforeseen_leaves_whole_records(tmp_path):
+def test_an_unexpected_write_error_leaves_complete_records(tmp_path):
     """The disk fills between two checks: the check finds room, and the system call fails."""
     limit = (
         "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY)); "

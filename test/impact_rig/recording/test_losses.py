@@ -33,7 +33,7 @@ TOPIC = "/rig/shaker/applied"
     starts=st.lists(st.integers(1, 10**6), min_size=5, max_size=5),
     order=st.randoms(use_true_random=False),
 )
-def test_publishers_that_speak_in_turn_lose_nothing(lengths, starts, order):
+def test_interleaved_messages_of_several_publishers_are_not_counted_as_lost(lengths, starts, order):
     """This holds for any publisher, any start of its counting, and any order of arrival."""
     waiting = [list(range(start, start + length)) for start, length in zip(starts, lengths, strict=False)]
     account = Account(lambda _: {str(number): f"/node{number}" for number in range(len(lengths))})
@@ -44,7 +44,7 @@ def test_publishers_that_speak_in_turn_lose_nothing(lengths, starts, order):
 
 
 @given(kept=st.sets(st.integers(1, 200), min_size=1))
-def test_every_message_missing_between_two_of_one_publisher_is_counted(kept):
+def test_every_missing_message_of_a_publisher_is_counted(kept):
     account = Account(lambda _: {"a": "/rig/rig"})
     for sequence in sorted(kept):
         account.take(TOPIC, sequence)
@@ -55,7 +55,7 @@ def test_every_message_missing_between_two_of_one_publisher_is_counted(kept):
     assert (stream.received, stream.lost) == (len(kept), missing)
 
 
-def test_a_publisher_that_begins_anew_is_no_loss():
+def test_a_restarted_publisher_is_not_taken_for_a_loss():
     """A node that was restarted counts from 1 again, with another identifier in the graph."""
     present = {"first": "/rig/rig"}
     account = Account(lambda _: present)
@@ -78,7 +78,7 @@ def test_a_loss_is_found_however_many_publishers_there_were_before():
     assert account.lost() == {TOPIC: MAX_STREAMS + 6}
 
 
-def test_publishers_without_end_do_not_fill_memory():
+def test_memory_is_bounded_for_any_number_of_publishers():
     account = Account()
     for _ in range(10 * MAX_STREAMS):
         account.take(TOPIC, 7)
@@ -88,7 +88,7 @@ def test_publishers_without_end_do_not_fill_memory():
     assert sum(stream.received for stream in streams) == 20 * MAX_STREAMS
 
 
-def test_a_run_that_lacks_messages_of_any_topic_is_not_called_whole(record, capsys):
+def test_a_run_that_lacks_messages_of_any_topic_is_not_called_complete(record, capsys):
     with record() as writer:
         fill(writer, 10)
         for sequence in (5, 9):
@@ -104,7 +104,7 @@ def test_a_run_that_lacks_messages_of_any_topic_is_not_called_whole(record, caps
     assert APPLIED_TOPIC.name in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_recording_without_an_account_is_not_called_whole(record, capsys):
+def test_a_recording_without_an_account_is_not_called_complete(record, capsys):
     """Nothing is known to be missing in a recording of another recorder, but nothing is proved either."""
     with record() as writer:
         writer.add_topic(SCAN_TOPIC)
@@ -128,7 +128,7 @@ def test_the_account_covers_all_files_of_a_split_run(record):
     assert not found.intact
 
 
-def test_messages_that_were_received_and_are_not_in_the_file_are_missed(record):
+def test_received_messages_that_are_not_in_the_file_are_reported_as_missing(record):
     account = Account()
     with record(account=account) as writer:
         fill(writer, 5)
@@ -139,7 +139,7 @@ def test_messages_that_were_received_and_are_not_in_the_file_are_missed(record):
 
 
 @pytest.mark.parametrize("text", ["[{}]", "7", "[" * 10**5, '[{"publisher": 1, "first": 1, "newest": 1}]', '[["a"]]'])
-def test_an_account_that_is_none_is_damage(record, text):
+def test_an_invalid_account_counts_as_damage(record, text):
     with record(closing=lambda: {RECORD_NAME: {"/a": text}}) as writer:
         fill(writer, 3)
     found = info(writer.directory)
@@ -147,7 +147,7 @@ def test_an_account_that_is_none_is_damage(record, text):
     assert "invalid metadata record" in found.verdict
 
 
-def test_a_further_file_repeats_only_what_is_in_force(record):
+def test_a_further_file_repeats_only_the_latest_attachments(record):
     """If 700 calibrations were repeated in every file, each file of a megabyte would be full at once."""
     with record(max_file_bytes=40_000, chunk_bytes=10_000) as writer:
         writer.add_topic(NOTES_TOPIC)

@@ -43,7 +43,7 @@ def bag(path: Path, *topics: tuple[str, str, bytes]) -> Path:
     return path
 
 
-def test_a_namespace_is_that_of_its_scans():
+def test_the_namespace_of_a_rig_is_that_of_its_scans():
     types = dict.fromkeys(("/rig/daq/scan", "/rig/truth/scan", "/other/notes"), POINT_CLOUD)
     assert prefixes(types) == ("/rig/",)
     assert prefixes({"daq/scan": POINT_CLOUD}) == ("",)
@@ -51,13 +51,13 @@ def test_a_namespace_is_that_of_its_scans():
     assert prefixes({"/rig/daq/scan": POINT_CLOUD, "/text/daq/scan": STRING}) == ("/rig/",), "not of that type"
 
 
-def test_without_scans_the_longest_names_tell():
+def test_the_namespace_follows_from_the_longest_names_if_there_are_no_scans():
     assert prefixes({"/rig/truth/impacts": POINT_CLOUD, "/rig/impacts": POINT_CLOUD}) == ("/rig/",)
     assert prefixes({"/rig/plot/transmissibility": VECTOR}) == ("/rig/",)
     assert prefixes({"/camera/image": STRING}) == ()
 
 
-def test_a_topic_is_found_by_its_whole_name_only(tmp_path):
+def test_a_topic_is_found_only_by_its_full_name(tmp_path):
     path = bag(
         tmp_path / "a.mcap",
         ("/rig/truth/impacts", STRING, string("true")),
@@ -78,7 +78,7 @@ def test_a_topic_is_found_by_its_whole_name_only(tmp_path):
             run.messages(["laser"])
 
 
-def test_of_several_rigs_one_has_to_be_chosen(tmp_path):
+def test_the_user_must_choose_one_of_several_rigs(tmp_path):
     path = bag(
         tmp_path / "two.mcap",
         *((f"/{side}/{name}", kind, data) for side in ("left", "right") for name, kind, data in (

@@ -54,7 +54,7 @@ def as_tuple(sent):
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_every_message_comes_back_as_sent(record, compression):
+def test_every_message_is_read_back_as_sent(record, compression):
     with record(compression=compression, chunk_bytes=40_000) as writer:
         sent = fill(writer, 50)
     with open_run(writer.directory) as run:
@@ -68,7 +68,7 @@ def test_every_message_comes_back_as_sent(record, compression):
         ]
 
 
-def test_a_chunk_ends_with_the_message_that_fills_it_definitions_counted(record):
+def test_a_chunk_ends_with_the_message_that_fills_it_including_definitions(record):
     most, data = 4000, string("a" * 80)
     with record(compression="none", chunk_bytes=most) as writer:
         for name in ("notes", "remarks"):
@@ -85,7 +85,7 @@ def test_a_chunk_ends_with_the_message_that_fills_it_definitions_counted(record)
     assert sizes[0] % message != sizes[1] % message == 0, "the first one defines the topics"
 
 
-def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
+def test_times_are_clamped_to_the_range_of_rosbag2(record):
     """Times of rosbag2 are signed, those of MCAP are not."""
     with record() as writer:
         writer.add_topic(NOTES_TOPIC)
@@ -96,7 +96,7 @@ def test_times_that_rosbag2_cannot_read_become_those_it_can(record):
     assert times == [(time, time) for time in (0, 0, INFINITE_NS, INFINITE_NS)]
 
 
-def test_log_time_order_and_ties(record):
+def test_messages_are_ordered_by_log_time_and_then_by_arrival(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
     in_order = sorted(range(len(sent)), key=lambda i: (sent[i].log_time, i))
@@ -105,7 +105,7 @@ def test_log_time_order_and_ties(record):
 
 
 @pytest.mark.parametrize("chunk_bytes", [2_000, 20_000])
-def test_closing_a_run_ends_what_still_reads_from_it(record, chunk_bytes):
+def test_closing_a_run_ends_iterations_over_it(record, chunk_bytes):
     """An iteration that was interrupted by an exception may live on in its traceback."""
     with record(chunk_bytes=chunk_bytes) as writer:
         fill(writer, 50)
@@ -117,7 +117,7 @@ def test_closing_a_run_ends_what_still_reads_from_it(record, chunk_bytes):
         list(messages)
 
 
-def test_selected_topics_and_times(record):
+def test_topics_and_times_can_be_selected(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
     begin, end = START_NS + 109_900_000, START_NS + 309_900_000  # two instants with a message
@@ -139,7 +139,7 @@ def test_tables_are_decoded(record):
     np.testing.assert_array_equal(tables[3].rows, codec.decode(scan_block(3)).rows)
 
 
-def test_attachments_and_provenance(record):
+def test_attachments_and_provenance_are_read_back(record):
     with record() as writer:
         fill(writer, 5)
         writer.attach(Attachment("calibration.yaml", b"laser: 1\n"))
@@ -162,7 +162,7 @@ def test_a_topic_appearing_late_is_recorded_from_then_on(record):
         assert message.log_time == START_NS + 29 * 10_000_000 + 9_900_000
 
 
-def test_a_publisher_that_restarts_changes_nothing_and_another_type_is_refused(record):
+def test_a_publisher_may_restart_but_not_change_the_type(record):
     with record() as writer:
         fill(writer, 3)
         writer.add_topic(SCAN_TOPIC)
@@ -197,7 +197,7 @@ def test_an_empty_run_can_be_opened(record):
         assert (run.message_count, run.start_ns, run.end_ns) == (0, 0, 0)
 
 
-def test_unknown_topics_name_those_that_exist(record):
+def test_an_unknown_topic_is_rejected_with_a_list_of_the_known_ones(record):
     with record() as writer:
         fill(writer, 2)
     with open_run(writer.directory) as run, pytest.raises(RecordingError, match=r"no topic 'scans'.*/rig/daq/scan"):
@@ -226,7 +226,9 @@ MESSAGES = st.lists(
     max_file_bytes=st.sampled_from([0, 1, 20_000]),
 )
 @pytest.mark.repeats
-def test_any_bytes_at_any_time_round_trip(tmp_path_factory, names, messages, compression, chunk_bytes, max_file_bytes):
+def test_any_bytes_at_any_time_are_read_back(
+    tmp_path_factory, names, messages, compression, chunk_bytes, max_file_bytes
+):
     directory = tmp_path_factory.mktemp("any") / "run"
     with RunWriter(
         directory,

@@ -60,7 +60,7 @@ def write(writer, number):
 
 @pytest.mark.parametrize("options", [{"chunk_bytes": 2500}, {"max_file_bytes": 3000, "chunk_bytes": 1500}])
 @pytest.mark.repeats
-def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_path, options):
+def test_all_secured_messages_are_recovered_after_a_kill_at_any_call(record, tmp_path, options):
     """A copy of the files between two calls is what a killed process would leave."""
     writer = record(tail=True, **options)
     writer.add_topic(SCAN_TOPIC)
@@ -86,7 +86,7 @@ def test_killed_after_any_call_all_that_was_secured_is_given_back(record, tmp_pa
 
 @pytest.mark.parametrize("chunk_bytes", range(1500, 5000, 100))
 @pytest.mark.repeats
-def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tmp_path, chunk_bytes):
+def test_a_new_topic_in_a_nearly_full_chunk_costs_no_message(record, tmp_path, chunk_bytes):
     """The definition may fill the chunk: messages secured afterwards belong to the next chunk."""
     writer = record(tail=True, chunk_bytes=chunk_bytes)
     writer.add_topic(SCAN_TOPIC)
@@ -103,7 +103,7 @@ def test_a_topic_that_comes_when_a_chunk_is_nearly_full_costs_nothing(record, tm
 
 
 @pytest.mark.parametrize("left", [1, 9, 500, -1])
-def test_a_chunk_cut_behind_an_attachment_is_no_loss_where_the_tail_holds_it(record, tmp_path, left):
+def test_a_chunk_cut_after_an_attachment_is_recovered_from_the_tail(record, tmp_path, left):
     """The tail has all messages of the chunk, so an attachment before the damaged chunk must not cause a loss."""
     writer = record(tail=True)
     writer.add_topic(SCAN_TOPIC)
@@ -124,7 +124,7 @@ def test_a_chunk_cut_behind_an_attachment_is_no_loss_where_the_tail_holds_it(rec
     assert (report.messages, report.damages, report.lost_bytes) == (10, [], 0)
 
 
-def test_killed_between_chunk_and_removal_nothing_is_given_back_twice(record, tmp_path, monkeypatch):
+def test_no_message_is_recovered_twice_after_a_kill_before_the_tail_is_removed(record, tmp_path, monkeypatch):
     """This is the only instant at which both files contain the same messages."""
     instants = []
 
@@ -187,7 +187,7 @@ def test_a_run_without_a_tail_has_no_second_file(record):
     writer.finish()
 
 
-def test_a_tail_of_somebody_else_is_not_overwritten(record):
+def test_a_tail_of_another_user_is_not_overwritten(record):
     writer = record(tail=True)
     writer.add_topic(SCAN_TOPIC)
     other = tail_of(Path(writer.files[0]))
@@ -246,9 +246,7 @@ def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp
 
 
 @pytest.mark.parametrize("follows_readable", [True, False])
-def test_a_tail_that_a_chunk_has_made_superfluous_is_known_without_its_first_record(
-    record, tmp_path, monkeypatch, follows_readable
-):
+def test_a_superfluous_tail_is_recognised_without_its_first_record(record, tmp_path, monkeypatch, follows_readable):
     monkeypatch.setattr(Tail, "remove", lambda tail: shutil.copytree(tail.path.parent, tmp_path / "kept"))
     writer = record(tail=True, chunk_bytes=10**6)
     writer.add_topic(SCAN_TOPIC)

@@ -25,7 +25,7 @@ from impact_rig.rig import Rig
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 
-def test_a_block_comes_when_it_is_complete_and_not_before() -> None:
+def test_a_block_is_returned_as_soon_as_it_is_complete() -> None:
     rig = Rig(config(), START_NS)
     assert rig.advance(START_NS + TICK - 1) == []
     assert [block.number for block in rig.advance(START_NS + TICK)] == [0]
@@ -44,7 +44,7 @@ def test_a_long_block_is_simulated_tick_by_tick() -> None:
     ("rate_hz", "block_scans"),
     [(100, 1), (333, 3), (997, 7), (997, 1), (1_000, 13), (8_192, 82), (10_000, 100), (44_100, 1_001), (49_999, 5_000)],
 )
-def test_to_which_block_a_contact_belongs_is_decided_by_when_it_ends(rate_hz: int, block_scans: int) -> None:
+def test_a_contact_belongs_to_the_block_in_which_it_ends(rate_hz: int, block_scans: int) -> None:
     """The calls advance by half a millisecond, by a block, by many blocks, or by everything at once."""
     chosen = config(
         daq__rate_hz=rate_hz,
@@ -72,7 +72,7 @@ def test_to_which_block_a_contact_belongs_is_decided_by_when_it_ends(rate_hz: in
     assert all(one == found[0] for one in found)
 
 
-def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
+def test_monitor_instants_are_scans_at_the_requested_rate() -> None:
     blocks = Rig(config(daq__rate_hz=25_600, daq__block_scans=256, output__monitor_rate_hz=200.0)).advance(NS_PER_S)
     indices = np.concatenate([block.first_scan + block.monitor_scans for block in blocks])
     assert np.array_equal(indices, np.arange(200) * 128)
@@ -81,7 +81,7 @@ def test_monitor_instants_are_scans_at_the_asked_rate() -> None:
 
 
 @pytest.mark.parametrize("then", [{"output.monitor_rate_hz": 20.0}, {"output.truth_scan": True}])
-def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, object]) -> None:
+def test_a_block_has_the_monitor_instants_of_the_rate_at_its_end(then: dict[str, object]) -> None:
     """Monitor instants kept at the rate before, in the same block, are discarded."""
     rig = Rig(config(daq__block_scans=2_000, output__monitor_rate_hz=100.0))
     rig.advance(10 * TICK)
@@ -96,7 +96,7 @@ def test_a_block_holds_the_instants_of_the_rate_at_its_end(then: dict[str, objec
     assert (second.truth is None) == ("output.truth_scan" not in then)
 
 
-def test_what_is_changed_and_changed_back_between_two_ticks_changes_no_block() -> None:
+def test_a_change_that_is_reverted_before_the_next_tick_has_no_effect() -> None:
     rig, as_it_was = (Rig(config(daq__block_scans=2_000, output__truth_scan=True)) for _ in range(2))
     for one in (rig, as_it_was):
         one.advance(10 * TICK)
@@ -107,7 +107,7 @@ def test_what_is_changed_and_changed_back_between_two_ticks_changes_no_block() -
     assert same(block.monitor_states, expected.monitor_states)
 
 
-def test_memory_stays_bounded() -> None:
+def test_the_memory_of_the_rig_is_bounded() -> None:
     """The rig forgets blocks that it has returned: nothing in it grows with its running time."""
     rig = Rig(config(output__truth_scan=True))
     rig.advance(100 * TICK)  # whatever is made once
@@ -115,7 +115,7 @@ def test_memory_stays_bounded() -> None:
     assert growth(lambda: rig.advance(500 * TICK)) < handed_out / 20
 
 
-def test_blocks_are_values_of_their_own() -> None:
+def test_later_calls_do_not_change_returned_blocks() -> None:
     """A later advance must not write into a block that has been returned."""
     rig = Rig(config())
     (block,) = rig.advance(TICK)

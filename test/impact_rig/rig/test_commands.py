@@ -41,7 +41,7 @@ def test_a_command_acts_at_the_first_instant_not_yet_simulated(reference: list[B
     assert same(samples(blocks)[:2000], samples(reference)[:2000])
 
 
-def test_a_command_acts_from_its_scan_on_and_not_a_scan_later() -> None:
+def test_a_command_acts_exactly_from_its_scan_on() -> None:
     """Ideal instruments read the drive itself: 9.1 Hz up to scan 2000, 11 Hz from there, without a jump of phase."""
     rig = Rig(config(instruments__ideal=True))
     blocks = rig.advance(20 * TICK + 3_000_000)
@@ -78,7 +78,7 @@ def test_the_drive_has_no_jump_of_phase_at_a_command() -> None:
         ({"frequency_hz": 9.0, "amplitude": math.nan}, ["current", "nan"]),
     ],
 )
-def test_a_refused_command_names_value_and_range_and_changes_nothing(
+def test_a_rejected_command_names_value_and_range_and_changes_nothing(
     command: dict[str, float], words: list[str]
 ) -> None:
     rig = Rig(config())
@@ -92,7 +92,7 @@ def test_a_refused_command_names_value_and_range_and_changes_nothing(
 
 
 @pytest.mark.parametrize("waveform", ["chirp", "random"])
-def test_a_drive_of_many_frequencies_takes_no_command_of_one(waveform: str) -> None:
+def test_a_drive_with_many_frequencies_rejects_a_frequency_command(waveform: str) -> None:
     """Such a command would change nothing, so it is rejected and not journaled; an amplitude is accepted."""
     rig = Rig(config(drive__waveform=waveform))
     rig.advance(10 * TICK)
@@ -113,7 +113,7 @@ def test_the_initial_drive_is_checked_like_a_command() -> None:
 @given(st.floats(), st.floats())
 @settings(max_examples=2000)
 @pytest.mark.repeats
-def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequency: float, current: float) -> None:
+def test_any_command_is_accepted_within_its_range_or_rejected(hammered: Rig, frequency: float, current: float) -> None:
     """After any command, the drive stays finite and within the limits of the shaker."""
     for command in ({"frequency_hz": frequency}, {"amplitude": current}, {"frequency_hz": 5 + abs(frequency) % 195}):
         with contextlib.suppress(CommandError):
@@ -124,7 +124,7 @@ def test_any_command_is_accepted_within_range_or_refused(hammered: Rig, frequenc
     hammered.take_journal()
 
 
-def test_the_drive_ramps_down_when_the_controller_dies() -> None:
+def test_the_drive_ramps_down_when_the_controller_falls_silent() -> None:
     rig = Rig(config(output__command_timeout_s=0.2, instruments__ideal=True))
     rig.advance(15 * TICK)
     rig.accept(amplitude=0.52)

@@ -103,7 +103,7 @@ PARSERS: dict[str, Callable[[str, Path], tuple[Masses, Places]]] = {
 
 @pytest.mark.parametrize("rig", RIGS)
 @pytest.mark.parametrize("parser", PARSERS)
-def test_masses_are_the_configurations_and_links_are_where_the_joint_states_say(
+def test_masses_are_those_of_the_configuration_and_links_follow_the_joint_states(
     parser: str, rig: str, tmp_path: Path
 ) -> None:
     configuration = RIGS[rig]
@@ -139,7 +139,7 @@ def tree(**values: Any) -> ET.Element:
     return ET.fromstring(robot_description(config.from_flat(RigConfig(), changes)))  # our own text
 
 
-def test_no_joint_depends_on_the_gap_and_the_barriers_do() -> None:
+def test_the_barriers_depend_on_the_gap_but_no_joint_does() -> None:
     small, large = tree(barriers__gap_m=0.002), tree(barriers__gap_m=0.02)
     joints = [[ET.tostring(joint) for joint in robot.iter("joint")] for robot in (small, large)]
     assert joints[0] == joints[1]
@@ -147,7 +147,7 @@ def test_no_joint_depends_on_the_gap_and_the_barriers_do() -> None:
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.006, 0.5])
-def test_the_sphere_touches_the_walls_that_are_drawn(gap: float) -> None:
+def test_the_sphere_touches_the_drawn_walls(gap: float) -> None:
     robot = tree(barriers__gap_m=gap)
     boxes = robot.findall("link[@name='superior_base']/visual")[1:]
     radius = float(next(robot.iter("sphere")).get("radius", ""))
@@ -157,13 +157,13 @@ def test_the_sphere_touches_the_walls_that_are_drawn(gap: float) -> None:
         assert side * middle - 0.5 * width == pytest.approx(0.5 * gap + radius, abs=1e-12)
 
 
-def test_every_frame_of_a_header_is_in_the_tree() -> None:
+def test_the_tree_contains_every_frame_of_a_header() -> None:
     links = {link.get("name") for link in tree().iter("link")}
     frames = {about.monitor.frame_id for about in INSTRUMENTS.values() if about.monitor is not None}
     assert {FRAME_DAQ, ROOT, *frames} <= links
 
 
-def test_inertias_are_those_of_bodies() -> None:
+def test_inertias_are_physically_possible() -> None:
     """Each moment is at most the sum of the others, and that of the sphere is 2/5 m r²."""
     for inertia in tree().iter("inertia"):
         moments = sorted(float(inertia.get(key, "")) for key in ("ixx", "iyy", "izz"))
@@ -174,7 +174,7 @@ def test_inertias_are_those_of_bodies() -> None:
     assert moment == pytest.approx(0.4 * mass * (0.5 * RigConfig().sphere.diameter_m) ** 2, rel=1e-9)
 
 
-def test_the_inertia_of_a_plate_that_a_wide_gap_makes_longer_is_its_own() -> None:
+def test_the_inertia_of_the_plate_follows_its_length() -> None:
     """A wide gap makes the plate longer, so its inertia must be computed from its own length."""
     link = tree(barriers__gap_m=0.2).find("link[@name='superior_base']")
     assert link is not None
@@ -190,5 +190,5 @@ def test_the_inertia_of_a_plate_that_a_wide_gap_makes_longer_is_its_own() -> Non
     assert float(said("inertial/inertia", "izz")) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_file_is_the_nominal_rig() -> None:
+def test_the_file_describes_the_nominal_rig() -> None:
     assert (share_dir() / "urdf" / "impact_rig.urdf").read_text(encoding="utf-8") == robot_description(RigConfig())

@@ -25,7 +25,7 @@ from impact_rig.rig import Rig
 from impact_rig.rig.journal import InputKind
 
 
-def test_faults_come_and_go_with_the_list_of_planned_ones() -> None:
+def test_faults_follow_the_list_of_planned_faults() -> None:
     """Times count from when the list is set; the journal contains the faults, so that a re-simulation has them too."""
     rig = Rig(config(instruments__faults__planned=["stuck channel=base start_s=0.005"]))
     blocks = rig.advance(10 * TICK)
@@ -58,7 +58,7 @@ def test_a_blank_line_plans_no_fault() -> None:
     assert [(row["kind"], row["active"]) for row in rows] == [(b"stuck", 1)]
 
 
-def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
+def test_a_fault_that_has_ended_can_be_removed_before_its_block_is_complete() -> None:
     """A re-simulation divides blocks in another way, and must still know a fault that has ended."""
     line = "dropout channel=laser duration_s=0.0004"
     rig = Rig(config(daq__block_scans=10, instruments__faults__planned=[line]))
@@ -68,7 +68,7 @@ def test_a_fault_that_has_ended_may_go_before_its_block_comes() -> None:
     resimulated(blocks, rig.take_journal())
 
 
-def test_a_planned_fault_of_two_lines_is_one_in_the_journal() -> None:
+def test_a_planned_fault_on_two_lines_is_one_entry_of_the_journal() -> None:
     """The journal keeps one item on one line, so a re-simulation must not take the lines for two faults."""
     rig = Rig(config(instruments__faults__planned=["dropout\nchannel=laser\n"]))
     resimulated(rig.advance(5 * TICK), rig.take_journal())

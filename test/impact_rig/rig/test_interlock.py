@@ -35,7 +35,7 @@ AT_RESONANCE = {"drive__frequency_hz": 9.105, "shaker__travel_limit_m": 1e-3}
 BELOW_IT = {"drive__frequency_hz": 8.0}  # where the table moves most
 
 
-def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlock_off() -> None:
+def test_a_new_kind_of_drive_waits_for_the_reset_and_keeps_the_interlock_active() -> None:
     """The interlock must use the kind of drive that is active, not the one that the next reset will select."""
     rig = Rig(paper_rig(drive__frequency_hz=8.0, shaker__travel_limit_m=2e-3))
     rig.configure({"drive.kind": "prescribed"})
@@ -45,14 +45,14 @@ def test_a_new_kind_of_drive_waits_for_the_reset_and_does_not_switch_the_interlo
     assert re.fullmatch(r"over_travel: [\d.]+ mm of travel, limit [\d.]+ mm", rig.latched)
 
 
-def test_an_initial_drive_that_the_shaker_refuses_is_refused_when_it_is_set() -> None:
+def test_an_initial_drive_beyond_the_shaker_is_rejected_when_it_is_set() -> None:
     rig = Rig(paper_rig())
     with pytest.raises(ConfigError, match=r"drive: current must be"):
         rig.configure({"drive.amplitude": 30.0})
     assert rig.config == paper_rig()
 
 
-def test_a_shaker_that_a_new_kind_of_drive_cannot_move_is_refused_when_it_is_set() -> None:
+def test_a_kind_of_drive_that_the_shaker_cannot_serve_is_rejected_when_it_is_set() -> None:
     """A prescribed base has no shaker; if only the reset found this out, the rig could not start."""
     stiff = {"shaker.coil_inductance_h": 1e-7}
     for first, then in (({}, {**stiff, "drive.kind": "voltage"}), (stiff, {"drive.kind": "voltage"})):
@@ -69,7 +69,7 @@ def test_a_shaker_that_a_new_kind_of_drive_cannot_move_is_refused_when_it_is_set
         rig.configure(stiff)
 
 
-def test_a_reset_that_cannot_begin_changes_nothing() -> None:
+def test_a_rejected_reset_changes_nothing() -> None:
     """The initial drive must be checked before the new start is noted; otherwise, time would jump."""
     rig, twin = Rig(paper_rig(drive__amplitude=2.0)), Rig(paper_rig(drive__amplitude=2.0))
     for one in (rig, twin):
@@ -93,7 +93,7 @@ def test_a_reset_that_cannot_begin_changes_nothing() -> None:
     ],
     ids=["resonance", "no sphere", "below resonance", "a little too much"],
 )
-def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specified(chosen: dict) -> None:
+def test_over_travel_trips_within_a_block_and_ramps_as_specified(chosen: dict) -> None:
     """The truth at 50 kS/s shows when the table passed its limit; the current then falls linearly in 0.1 s."""
     rig = Rig(paper_rig(**chosen, daq__rate_hz=FINE_HZ, daq__block_scans=500, output__truth_scan=True))
     limit, blocks = rig.config.shaker.travel_limit_m, []
@@ -116,7 +116,7 @@ def test_over_travel_trips_within_a_block_of_the_true_travel_and_ramps_as_specif
     assert np.abs(after["current"][ramp:]).max() == 0.0
 
 
-def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> None:
+def test_a_trip_is_cleared_only_on_request_and_the_amplitude_stays_zero() -> None:
     rig = Rig(paper_rig(**BELOW_IT, drive__amplitude=8.0))
     rig.advance(300 * TICK)
     assert rig.latched is not None
@@ -134,7 +134,7 @@ def test_a_trip_is_cleared_on_request_only_and_the_amplitude_stays_zero() -> Non
     rig.accept(amplitude=0.1)
 
 
-def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
+def test_the_largest_accepted_current_does_not_trip() -> None:
     """The average of a sine ripples, and at the limit, the ripple must not pass it."""
     rig = Rig(paper_rig(drive__frequency_hz=5.0, shaker__travel_limit_m=1.0))
     rig.accept(amplitude=rig.config.shaker.current_limit_a_rms * math.sqrt(2.0))
@@ -142,7 +142,7 @@ def test_the_largest_current_that_is_accepted_does_not_trip() -> None:
     assert rig.latched is None
 
 
-def test_clearing_what_is_not_latched_forgets_no_current() -> None:
+def test_clearing_a_shaker_that_is_not_latched_keeps_the_average_current() -> None:
     """If `~/clear_trip` restarted the average on a free rig, frequent calls would disable the interlock."""
     trips = []
     for clears in (False, True):
@@ -158,12 +158,12 @@ def test_clearing_what_is_not_latched_forgets_no_current() -> None:
     assert trips[1] == trips[0]
 
 
-def test_the_current_is_averaged_over_a_tick_without_its_beginning() -> None:
+def test_the_average_of_the_current_excludes_the_first_instant_of_a_tick() -> None:
     assert mean_square(np.array([9.0, 1.0, 2.0, 3.0])) == pytest.approx(14.0 / 3.0)
 
 
 @given(st.floats(1.0, 30.0), st.floats(0.0, 2 * math.pi), st.floats(-1.0, 1.0))
-def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
+def test_an_extreme_between_two_checks_is_found(frequency_hz: float, phase: float, offset: float) -> None:
     """The error is h⁴ ω⁴ / 384 of the amplitude, which is 3e-6 at 30 Hz."""
     omega = 2 * math.pi * frequency_hz
     instants, fine = np.arange(SAMPLES_PER_TICK + 1) * SAMPLE_S, np.linspace(0.0, SAMPLES_PER_TICK * SAMPLE_S, 100_001)
@@ -174,7 +174,7 @@ def test_an_extreme_between_two_looks_is_found(frequency_hz: float, phase: float
     assert found == pytest.approx(true, abs=(omega * SAMPLE_S) ** 4 / 384 + 1e-9)
 
 
-def test_a_saddle_at_a_look_is_no_root_of_a_negative_number() -> None:
+def test_a_saddle_at_a_check_needs_no_root_of_a_negative_number() -> None:
     """The root of a negative number must neither raise (plain Python) nor be NaN (compiled)."""
     rate = 0.9693949389499377
     assert largest_travel(np.array([0.0, rate / 3.0]), np.array([rate, -1e-22]), 1.0) == pytest.approx(rate / 3.0)

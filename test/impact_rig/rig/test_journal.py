@@ -61,7 +61,7 @@ def eventful(chosen: RigConfig, cuts: int) -> tuple[list[Block], list[JournalEnt
 
 
 @pytest.mark.parametrize("cuts", [1, 5])
-def test_the_journal_is_all_a_resimulation_needs(cuts: int) -> None:
+def test_a_resimulation_needs_only_the_journal(cuts: int) -> None:
     blocks, journal, _ = eventful(config(daq__block_scans=250, daq__seed=9), cuts)
     assert len(blocks) > 30
     assert same(impacts(resimulated(blocks, journal)), impacts(blocks))
@@ -76,7 +76,7 @@ def test_a_resimulation_begins_at_the_last_reset() -> None:
     resimulated(blocks, rig.take_journal())
 
 
-def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_a_reset() -> None:
+def test_a_fault_planned_ahead_hides_no_later_change_before_a_reset() -> None:
     """If no block comes before the reset, changes after such a fault must not be left out."""
     rig = Rig(config(daq__block_scans=1000))
     rig.inject(Fault(kind="dropout", channel="laser", start_sample=50_000))
@@ -88,7 +88,7 @@ def test_a_fault_ordered_ahead_does_not_end_what_a_resimulation_is_given_before_
     assert any(entry.kind is InputKind.FAULT for entry in again.rig.take_journal())
 
 
-def test_a_journal_with_a_missing_entry_is_refused() -> None:
+def test_a_journal_with_a_missing_entry_is_rejected() -> None:
     _, journal, _ = eventful(config(), 1)
     with pytest.raises(ConfigError, match=r"incomplete journal: entry 3 is missing \(found 4\)"):
         last_journal([*journal[:3], *journal[4:]])
@@ -108,7 +108,7 @@ def test_an_entry_carries_every_kind_of_value_exactly() -> None:
     assert JournalEntry.from_line(start.line()).values == changes
 
 
-def test_an_entry_is_one_json_object_that_leaves_out_what_it_does_not_say() -> None:
+def test_an_entry_is_one_json_object_without_unused_fields() -> None:
     rig = Rig(config())
     rig.take_journal()
     rig.accept(frequency_hz=9.05)
@@ -117,7 +117,7 @@ def test_an_entry_is_one_json_object_that_leaves_out_what_it_does_not_say() -> N
     assert json.loads(entry.line()) == found
 
 
-def test_every_entry_comes_back_from_its_line() -> None:
+def test_every_entry_is_read_back_from_its_line() -> None:
     _, journal, _ = eventful(config(), 1)
     assert {entry.kind for entry in journal} > {InputKind.START, InputKind.FAULT, InputKind.PLUCK, InputKind.PARAMETER}
     again = [JournalEntry.from_line(entry.line()) for entry in journal]
@@ -128,7 +128,7 @@ WHOLE = st.integers(0, 2**53)
 
 
 @given(WHOLE, WHOLE, WHOLE, st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
-def test_every_number_of_a_fault_comes_back_exactly(start, samples, seed, value, rate):
+def test_every_number_of_a_fault_is_read_back_exactly(start, samples, seed, value, rate):
     fault = Fault(
         kind="spike_train", channel="laser", start_sample=start, samples=samples, seed=seed, value=value, rate_hz=rate
     )

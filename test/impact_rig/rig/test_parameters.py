@@ -40,7 +40,7 @@ WORDS = {"always": True, "never": False, "butterworth": True, "none": False}
 @example({"structure.mass_kg": 1.8e14, "shaker.damping_n_s_m": 1.8e14})  # the sphere touches without end
 @settings(max_examples=500)
 @pytest.mark.repeats
-def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig, changes: dict[str, object]) -> None:
+def test_any_change_of_parameters_is_accepted_or_rejected_as_a_unit(hammered: Rig, changes: dict[str, object]) -> None:
     before = hammered.config
     try:
         after = hammered.configure(changes)
@@ -61,7 +61,7 @@ def test_any_change_of_parameters_is_taken_whole_or_refused_whole(hammered: Rig,
     hammered.take_journal()
 
 
-def test_two_changes_of_one_instant_are_two() -> None:
+def test_two_opposite_changes_at_one_instant_both_take_effect() -> None:
     """The second change takes back the first, so no value differs in the end, but the sphere was put to its start."""
     rig = Rig(config(drive__amplitude=0.52, barriers__gap_m=0.006))
     blocks = rig.advance(300 * TICK)
@@ -71,7 +71,7 @@ def test_two_changes_of_one_instant_are_two() -> None:
     resimulated(blocks, rig.take_journal())
 
 
-def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
+def test_a_change_of_the_gap_puts_the_sphere_to_its_start() -> None:
     rig = Rig(config(output__monitor_rate_hz=200.0))
     before = rig.advance(50 * TICK)
     rig.configure({"barriers.gap_m": 0.008})
@@ -82,7 +82,7 @@ def test_a_gap_change_rests_the_sphere_at_its_start() -> None:
     assert after["x_1"] == pytest.approx(gone_on, abs=2e-4), "the structure keeps its motion"
 
 
-def test_limits_and_ramp_leave_the_motion_as_it_is(reference: list[Block]) -> None:
+def test_changes_of_limits_and_ramp_do_not_affect_the_motion(reference: list[Block]) -> None:
     """They must neither put the sphere back to its start nor restart the energy account."""
     rig = Rig(config())
     blocks = rig.advance(40 * TICK)
@@ -97,7 +97,7 @@ def test_limits_and_ramp_leave_the_motion_as_it_is(reference: list[Block]) -> No
 @pytest.mark.parametrize(
     "name", [*sorted(LIMITS), "structure.damping_ratio", "shaker.base_mass_kg", "contact.restitution"]
 )
-def test_the_sphere_rests_at_its_start_again_where_the_interface_says_so(name: str) -> None:
+def test_the_documented_changes_put_the_sphere_to_its_start(name: str) -> None:
     rig = Rig(config())
     rig.advance(40 * TICK)
     flying = rig.simulation.state()
@@ -105,7 +105,7 @@ def test_the_sphere_rests_at_its_start_again_where_the_interface_says_so(name: s
     assert (rig.simulation.state()[5:].tolist() != flying[5:].tolist()) == ("rests at" in takes_effect(name))
 
 
-def test_a_refused_change_changes_nothing() -> None:
+def test_a_rejected_change_has_no_effect() -> None:
     rig = Rig(config())
     rig.take_journal()
     with pytest.raises(ConfigError, match=r"barriers.gap_m must be >= 1e-06"):
@@ -129,7 +129,7 @@ def test_publishing_options_change_no_sample_and_are_not_journaled(reference: li
     assert sum(len(block.monitor_states) for block in more[-20:]) == 10
 
 
-def test_a_seed_is_taken_at_the_next_reset() -> None:
+def test_a_new_seed_takes_effect_at_the_next_reset() -> None:
     rig, other = Rig(config()), Rig(config(daq__seed=5))
     rig.configure({"daq.seed": 5})
     rig.reset()
@@ -144,7 +144,7 @@ def test_a_seed_is_taken_at_the_next_reset() -> None:
     ],
     ids=["mass", "fastest drive"],
 )
-def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str, object], hertz: float) -> None:
+def test_instruments_use_the_current_mechanics(chosen: dict, then: dict[str, object], hertz: float) -> None:
     """Instruments must use the new mass that an impact kicks, and pieces short enough for the fastest new drive.
 
     Otherwise, readings after the change would be eight times too high, or off by half of their value.
@@ -159,7 +159,7 @@ def test_instruments_know_the_mechanics_as_they_are(chosen: dict, then: dict[str
     assert same(*read)
 
 
-def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
+def test_a_drive_faster_than_a_new_limit_is_read_correctly() -> None:
     """The limit applies to the next command; the instruments must use the amplitude that is active."""
     read = []
     for then in ({}, {"shaker.frequency_max_hz": 200.0, "instruments.laser.lag_s": 1e-3}):
@@ -170,7 +170,7 @@ def test_a_drive_faster_than_a_new_limit_is_still_read_as_it_is() -> None:
     assert same(*read)
 
 
-def test_a_chirp_beyond_the_highest_command_is_read_as_it_is() -> None:
+def test_a_chirp_beyond_the_highest_command_is_read_correctly() -> None:
     """Pieces must be short enough for a chirp to 1 kHz, not only for commands; otherwise, 0.5 A reads 0.62 A."""
     read = []
     for highest_hz in (200.0, 1000.0):

@@ -25,7 +25,7 @@ from impact_rig.errors import CommandError
 from impact_rig.rig import Block, Rig
 
 
-def test_a_reset_begins_as_new_with_later_stamps(reference: list[Block]) -> None:
+def test_a_reset_rig_equals_a_new_one_with_later_stamps(reference: list[Block]) -> None:
     rig = Rig(config(), START_NS)
     rig.advance(START_NS + 17 * TICK)
     rig.accept(frequency_hz=20.0, amplitude=1.0)
@@ -58,7 +58,7 @@ def test_a_pluck_locks_the_base_and_lets_the_structure_ring_at_its_natural_frequ
     rig.accept(amplitude=0.5)
 
 
-def test_a_pluck_may_go_further_than_the_table() -> None:
+def test_a_pluck_may_exceed_the_travel_of_the_table() -> None:
     rig = Rig(config())
     rig.pluck(0.008)
     assert abs(rig.advance(2 * TICK)[0].scan.rows["laser"][0]) > 0.0075

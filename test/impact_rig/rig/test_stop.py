@@ -52,7 +52,7 @@ def travel(blocks: list[Block]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("step", [1, 7, 200])
-def test_over_travel_trips_within_a_tick_whatever_the_cut(step: int) -> None:
+def test_over_travel_trips_within_a_tick_for_any_division_into_calls(step: int) -> None:
     """5 A at 8 Hz drive the table far beyond 2 mm."""
     chosen = config(
         drive__amplitude=5.0, drive__frequency_hz=8.0, shaker__travel_limit_m=0.002, output__truth_scan=True
@@ -130,7 +130,7 @@ def feed(rig: Rig, value: float, samples: int = 8) -> None:
 
 
 @pytest.mark.parametrize("again", ["stop", "pluck", "ramp", "trip"])
-def test_nothing_after_a_stop_prolongs_it(again: str) -> None:
+def test_later_inputs_do_not_prolong_a_stop(again: str) -> None:
     """This holds for any ramp of ordinary commands, and for all inputs while the shaker is latched."""
     rig = Rig(paper_rig(**QUIET, drive__amplitude=3.0, shaker__ramp_s=60.0))
     rig.configure({"shaker.ramp_s": 0.0})
@@ -168,7 +168,7 @@ def test_a_stop_has_its_own_ramp_and_ends_a_longer_one_to_zero() -> None:
 
 
 @pytest.mark.parametrize("ramp_s", [0.0, 0.1])
-def test_a_rig_that_is_stopped_before_its_first_tick_never_moves(ramp_s: float) -> None:
+def test_a_rig_stopped_before_its_first_tick_never_moves(ramp_s: float) -> None:
     rig = Rig(paper_rig(**QUIET, drive__amplitude=3.0, shaker__ramp_s=ramp_s))
     rig.stop("what stopped the one before")
     blocks = rig.advance(100 * TICK)
@@ -191,7 +191,7 @@ def test_the_interlock_watches_a_latched_shaker_and_reports_each_reason_once() -
 
 @pytest.mark.parametrize("hold", ["first_order", "zero_order"])
 @pytest.mark.parametrize("when", ["playing", "holding", "ramping"])
-def test_a_stream_of_slow_samples_stops_as_quickly(hold: str, when: str) -> None:
+def test_a_stream_of_slow_samples_stops_as_quickly_as_a_sine(hold: str, when: str) -> None:
     """Samples may be a second apart: the stop must not wait for the next one, nor for a ramp in samples."""
     rig = Rig(
         paper_rig(**{
@@ -238,12 +238,12 @@ def sequence(seed: int) -> None:
 
 
 @pytest.mark.parametrize("first", range(0, 140, 35))
-def test_whatever_follows_a_stop_the_drive_is_zero_half_a_second_later_until_it_is_cleared(first: int) -> None:
+def test_the_drive_is_zero_half_a_second_after_a_stop_until_it_is_cleared(first: int) -> None:
     for seed in range(first, first + 35):
         sequence(seed)
 
 
 @pytest.mark.slow
-def test_of_two_thousand_sequences_none_drives_a_stopped_shaker() -> None:
+def test_two_thousand_sequences_never_drive_a_stopped_shaker() -> None:
     for seed in range(2000):
         sequence(seed)

@@ -76,7 +76,7 @@ def reference() -> list[Block]:
     ids=["1", "7", "5000", "shuffled", "twice", "replaced"],
 )
 @pytest.mark.repeats
-def test_how_samples_come_does_not_matter(reference, sent, step):
+def test_the_order_and_size_of_sample_blocks_do_not_matter(reference, sent, step):
     found = played(sent, step)
     assert same(samples(found), samples(reference))
     assert same(impacts(found), impacts(reference))
@@ -92,7 +92,7 @@ def rows(rig: Rig, entries: list[JournalEntry]) -> list[tuple[str, float, str]]:
     return [(e.name, e.value, e.text) for e in entries if e.kind is InputKind.STREAM]
 
 
-def test_missing_samples_ramp_to_zero_and_are_told():
+def test_missing_samples_ramp_to_zero_and_are_reported():
     rig = stream_rig()
     rig.feed(0, np.full(500, 0.3))
     blocks = rig.advance(NS_PER_S // 5)
@@ -113,7 +113,7 @@ def test_missing_samples_ramp_to_zero_and_are_told():
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
-def test_an_end_is_one_in_whatever_order_it_comes(order):
+def test_the_end_of_a_stream_may_arrive_in_any_order(order):
     """The stream consists of two pieces with a pause, and their ends.
 
     A later block or end must not replace an earlier end; otherwise, a pause that the controller requested is an
@@ -131,7 +131,7 @@ def test_an_end_is_one_in_whatever_order_it_comes(order):
     assert rig.stream.missing == 0
 
 
-def test_a_sample_takes_the_place_of_an_end():
+def test_a_sample_replaces_an_end():
     rig = stream_rig()
     rig.feed(0, np.full(500, 0.3))
     rig.feed(500, [])
@@ -141,7 +141,7 @@ def test_a_sample_takes_the_place_of_an_end():
     assert [(value, text) for key, value, text in rows(rig, []) if key == "end"] == [(700.0, "ended")]
 
 
-def test_what_an_underrun_does_can_be_chosen():
+def test_the_reaction_to_an_underrun_can_be_configured():
     holding, tripping = stream_rig(drive__on_underrun="hold"), stream_rig(drive__on_underrun="trip")
     for rig in (holding, tripping):
         rig.feed(0, np.full(500, 0.3))
@@ -156,7 +156,7 @@ def test_what_an_underrun_does_can_be_chosen():
     tripping.feed(6_000, [0.1])
 
 
-def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
+def test_an_underrun_does_not_hide_a_trip_in_the_same_tick():
     """The row of that tick must report the over-travel, not only the underrun."""
     limits = {"drive__on_underrun": "trip", "shaker__travel_limit_m": 1e-3}
     whole, cut = stream_rig(**limits), stream_rig(**limits)
@@ -183,7 +183,7 @@ def test_an_underrun_hides_no_trip_of_the_interlock_in_the_same_tick():
         (0, [[0.1]], "shape"),
     ],
 )
-def test_a_block_is_refused_whole(first, values, says):
+def test_an_invalid_block_is_rejected_as_a_unit(first, values, says):
     rig = stream_rig()
     with pytest.raises(CommandError, match=says):
         rig.feed(first, values)
@@ -192,7 +192,7 @@ def test_a_block_is_refused_whole(first, values, says):
     assert not np.any(rig.advance(NS_PER_S // 10)[-1].monitor_states["current"])
 
 
-def test_samples_of_the_past_are_dropped_and_counted():
+def test_late_samples_are_dropped_and_counted():
     rig = stream_rig()
     rig.advance(NS_PER_S // 10)
     wanted = rig.stream.played
@@ -203,7 +203,7 @@ def test_samples_of_the_past_are_dropped_and_counted():
     assert state.stamp_ns == rig.start_ns + wanted * NS_PER_S // RATE_HZ
 
 
-def test_a_stop_drops_what_is_buffered_and_refuses_more():
+def test_a_stop_drops_buffered_samples_and_rejects_further_ones():
     rig = stream_rig()
     rig.feed(0, WAVE[:10_000])
     rig.advance(NS_PER_S // 5)
@@ -226,7 +226,7 @@ def test_the_interlock_sees_what_lies_between_its_samples():
     assert rig.latched.startswith("over_current")
 
 
-def test_the_drive_takes_no_other_command_and_no_other_drive_takes_samples():
+def test_a_stream_rejects_commands_and_other_drives_reject_samples():
     with pytest.raises(CommandError, match="shaker/waveform"):
         stream_rig().accept(amplitude=0.1)
     with pytest.raises(CommandError, match="the drive is sine"):
@@ -235,7 +235,7 @@ def test_the_drive_takes_no_other_command_and_no_other_drive_takes_samples():
         stream_rig(drive__kind="prescribed", drive__stream_hold="zero_order")
 
 
-def test_the_rig_has_samples_for_so_many_blocks():
+def test_the_rig_reports_for_how_many_blocks_it_has_samples():
     rig = stream_rig()
     assert rig.blocks_with_samples(50) == 0
     rig.feed(0, WAVE[:1_001])
@@ -273,7 +273,7 @@ def eventful() -> tuple[Rig, list[Block], Blocks]:
     return rig, found + rig.advance(5 * NS_PER_S // 2), sent
 
 
-def test_journal_and_samples_give_the_run_again_bit_for_bit():
+def test_journal_and_samples_reproduce_the_run_bit_for_bit():
     rig, blocks, sent = eventful()
     journal = rig.take_journal()
     waveform = [Sent(first * NS_PER_S // RATE_HZ, values) for first, values in sent]
@@ -285,7 +285,7 @@ def test_journal_and_samples_give_the_run_again_bit_for_bit():
             pass
 
 
-def test_samples_that_a_reset_may_have_discarded_give_way_to_all_others():
+def test_samples_that_a_reset_may_have_discarded_are_replaced_by_others():
     rig = stream_rig()
     rig.feed(0, WAVE[:3_000])
     blocks = rig.advance(NS_PER_S // 5)

@@ -28,7 +28,7 @@ from impact_rig.simtime import NS_PER_S
 
 @given(st.lists(st.integers(1, 130_000_000), min_size=1, max_size=12))
 @settings(max_examples=5)
-def test_the_way_advance_is_called_changes_no_bit(reference: list[Block], steps: list[int]) -> None:
+def test_readings_do_not_depend_on_the_division_into_calls(reference: list[Block], steps: list[int]) -> None:
     rig, blocks, now = Rig(config()), [], 0
     for step in steps:
         now = min(now + step, 60 * TICK)
@@ -55,7 +55,7 @@ def test_block_length_changes_no_scan_and_no_impact(reference: list[Block], bloc
 
 
 @pytest.mark.parametrize("rate_hz", [4000, 25_600, 50_000])
-def test_the_rate_moves_no_impact(reference: list[Block], rate_hz: int) -> None:
+def test_the_scan_rate_does_not_move_an_impact(reference: list[Block], rate_hz: int) -> None:
     blocks = Rig(config(daq__rate_hz=rate_hz)).advance(61 * TICK)
     found, expected = impacts(blocks), impacts(reference)
     assert len(expected) > 5
@@ -74,7 +74,7 @@ def test_stamps_are_computed_from_the_index(rate_hz: int) -> None:
         assert np.array_equal(block.scan.rows["time"], np.arange(97) / rate_hz)
 
 
-def test_a_seed_changes_noise_and_errors_but_not_one_impact(reference: list[Block]) -> None:
+def test_a_seed_changes_noise_and_errors_but_no_impact(reference: list[Block]) -> None:
     other = Rig(config(daq__seed=2)).advance(60 * TICK)
     assert same(impacts(other), impacts(reference))
     for name in CHANNELS:
@@ -83,7 +83,7 @@ def test_a_seed_changes_noise_and_errors_but_not_one_impact(reference: list[Bloc
         assert same(one.monitor_states, two.monitor_states), "the truth knows no noise"
 
 
-def test_the_clock_error_scales_the_physics_beneath_the_samples() -> None:
+def test_an_error_of_the_clock_scales_the_time_of_the_physics() -> None:
     """A scan clock that is 1000 ppm slow covers more true time between scans: the drive seems 1000 ppm faster."""
     slow = Rig(config(daq__clock_error_ppm=1000.0, instruments__ideal=True, sphere__present=False))
     current = samples(slow.advance(100 * TICK))["current"][2000:]

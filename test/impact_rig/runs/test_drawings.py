@@ -81,7 +81,7 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
         assert int.from_bytes(header[16:20]) > 1000, "pixels wide"
 
 
-def test_the_curve_of_a_run_is_fit_to_print_and_the_same_each_time(run: Path, tmp_path: Path) -> None:
+def test_the_curve_of_a_run_is_printable_and_reproducible(run: Path, tmp_path: Path) -> None:
     """Axes have quantities and units, the legend has gap, current and ± 2u, and no file has a date."""
     for where in ("first", "second"):
         assert main(["analyze", str(run), "--figures", str(tmp_path / where)]) == 0
@@ -92,7 +92,9 @@ def test_the_curve_of_a_run_is_fit_to_print_and_the_same_each_time(run: Path, tm
     assert re.search(r"gap unknown, 0\.\d+ (to 0\.\d+ )?A, ± 2u", texts)
 
 
-def test_another_format_and_nothing_overwritten(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_figures_have_the_requested_format_and_overwrite_no_file(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     command = ["analyze", str(run), "--figures", str(tmp_path), "--format", "svg"]
     assert main(command) == 0
     assert "<svg" in (tmp_path / "spectrum.svg").read_text(encoding="utf-8")
@@ -101,14 +103,12 @@ def test_another_format_and_nothing_overwritten(run: Path, tmp_path: Path, capsy
 
 
 @pytest.mark.parametrize("where", ["/proc/figures", "/proc"], ids=["not made", "not written to"])
-def test_a_directory_that_cannot_be_written_is_an_error(
-    where: str, run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unwritable_directory_is_an_error(where: str, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(run), "--figures", where]) == 1
     assert f"impact-rig analyze: cannot write figures to {where}: " in capsys.readouterr().err
 
 
-def test_what_is_drawn_is_the_last_settled_measurement(run: Path) -> None:
+def test_the_drawn_excerpt_is_that_of_the_last_settled_measurement(run: Path) -> None:
     with open_run(run) as opened:
         rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(opened)))
     last = rows[rows["settled"] == 1.0][-1]
@@ -125,7 +125,7 @@ def test_what_is_drawn_is_the_last_settled_measurement(run: Path) -> None:
     assert np.all(tail.impact_times >= tail.rows["time"][0])
 
 
-def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messages, tmp_path: Path) -> None:
+def test_the_drawn_excerpt_is_the_end_of_the_run_if_no_measurement_settled(measured: Messages, tmp_path: Path) -> None:
     scans = [one for one in measured if one[0] == "daq/scan"][:400]
     kept = [one for one in measured if one[0] != "daq/scan"] + scans[:100] + scans[150:]
     excerpt = excerpt_of(record(tmp_path / "gap", kept))
@@ -139,7 +139,7 @@ def test_where_nothing_settled_it_is_the_end_after_the_last_gap(measured: Messag
     assert main(["analyze", str(none), "--figures", str(tmp_path)]) == 1
 
 
-def test_after_a_reset_time_begins_anew(measured: Messages, tmp_path: Path) -> None:
+def test_data_before_a_reset_are_not_mixed_with_later_data(measured: Messages, tmp_path: Path) -> None:
     """The same four seconds twice: rig time goes back, and the data before the reset are not mixed in."""
     four = [one for one in measured if one[1].stamp_ns < 4_000_000_000]
     excerpt = excerpt_of(record(tmp_path / "reset", [*four, *four[:200]]))
@@ -147,7 +147,7 @@ def test_after_a_reset_time_begins_anew(measured: Messages, tmp_path: Path) -> N
     assert len(excerpt.rows) == len(np.unique(excerpt.rows["time"])) < 200 * 50
 
 
-def test_curves_are_by_gap_and_direction_and_need_two_frequencies() -> None:
+def test_each_gap_and_direction_with_two_frequencies_has_a_curve() -> None:
     rows = np.zeros(9, TRANSMISSIBILITY)
     rows["settled"] = 1.0
     rows["frequency"] = (8.0, 9.0, 9.0, 10.0, 9.0, 8.0, 9.1, 7.0, 8.0)

@@ -64,7 +64,7 @@ def expected():
     return since_ns, {name: rows[name] for name in rows.dtype.names if name != "time"}
 
 
-def test_npz(run, tmp_path):
+def test_npz_files_contain_the_exact_columns(run, tmp_path):
     since_ns, columns = expected()
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
         assert found.files == [*LEADING, *columns]
@@ -87,7 +87,7 @@ def test_csv_reads_back_to_the_same_bits(run, tmp_path):
         assert read.tobytes() == column.tobytes()
 
 
-def test_time_runs_on_from_block_to_block_and_is_the_same_in_all_topics(run, tmp_path):
+def test_time_continues_across_blocks_and_is_the_same_in_all_topics(run, tmp_path):
     """Time must not restart in each block; a stamp of 19 digits would be rounded by a spreadsheet."""
     with np.load(export(run, "daq/scan", tmp_path / "scan.npz")) as found:
         assert (np.diff(found["time"]) > 0.0).all()
@@ -96,7 +96,7 @@ def test_time_runs_on_from_block_to_block_and_is_the_same_in_all_topics(run, tmp
         assert found["time"].tolist() == [0.0, 0.0]  # stamped START_NS, as the first scan
 
 
-def test_text_becomes_text(run, tmp_path):
+def test_text_columns_are_exported_as_text(run, tmp_path):
     with export(run, "texts", tmp_path / "journal.csv").open(newline="", encoding="utf-8") as file:
         first, second = csv.DictReader(file)
     assert (first["key"], second["key"]) == ("barriers.gap_m", "µ")
@@ -107,7 +107,7 @@ def test_text_becomes_text(run, tmp_path):
 
 
 @pytest.mark.parametrize("is_table", [False, True], ids=["this version", "third version"])
-def test_a_journal_is_one_row_per_entry(tmp_path, is_table):
+def test_a_journal_is_exported_with_one_row_per_entry(tmp_path, is_table):
     """A recording of the third version contains the journal as a table."""
     rig = Rig(RigConfig())
     rig.configure({"barriers.gap_m": 0.1 + 0.2})
@@ -140,7 +140,7 @@ def test_rows_published_before_the_recording_began_are_marked(run, tmp_path):
             assert (found["earlier"] == earlier).all()
 
 
-def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
+def test_a_publish_time_that_repeats_the_log_time_marks_no_row(tmp_path):
     """Log times of a rig in one process count from 1970; this must not make a message `earlier`."""
     with LocalRig(record=tmp_path / "run") as rig:
         rig.step()
@@ -148,7 +148,7 @@ def test_a_publish_time_that_only_repeats_the_log_time_says_nothing(tmp_path):
         assert not found["earlier"].any()
 
 
-def test_parquet(run, tmp_path):
+def test_parquet_files_contain_the_exact_columns(run, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     since_ns, columns = expected()
     table = parquet.read_table(export(run, "daq/scan", tmp_path / "scan.parquet"))
@@ -161,7 +161,7 @@ def test_parquet(run, tmp_path):
 
 
 @pytest.mark.parametrize(("library", "suffix", "name"), [("pyarrow", "parquet", "Parquet"), ("pyuff", "uff", "UFF")])
-def test_a_missing_library_is_named_with_what_installs_it(run, tmp_path, monkeypatch, library, suffix, name):
+def test_a_missing_library_is_named_with_the_extra_that_installs_it(run, tmp_path, monkeypatch, library, suffix, name):
     monkeypatch.setitem(sys.modules, library, None)  # not to be imported
     with pytest.raises(
         ImpactRigError, match=rf"{name} needs {library}, which is not installed: pip install 'impact_rig\[exchange\]'"
@@ -170,7 +170,7 @@ def test_a_missing_library_is_named_with_what_installs_it(run, tmp_path, monkeyp
     assert list(tmp_path.glob(f"*.{suffix}")) == []
 
 
-def test_universal_file(run, tmp_path):
+def test_universal_files_contain_the_columns(run, tmp_path):
     pyuff = pytest.importorskip("pyuff")
     since_ns, columns = expected()
     sets = pyuff.UFF(str(export(run, "daq/scan", tmp_path / "scan.uff"))).read_sets()
@@ -198,7 +198,7 @@ def test_a_curve_is_a_frequency_response_function_per_gap(tmp_path):
     assert without["x"].tolist() == [8.7, 9.0]
 
 
-def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
+def test_rows_without_numbers_are_left_out_of_a_universal_file(tmp_path):
     """A measurement that was refused must not be in the file with a DT of 0."""
     pyuff = pytest.importorskip("pyuff")
     columns = {
@@ -213,7 +213,7 @@ def test_what_is_no_number_stays_out_of_a_universal_file(tmp_path):
 @pytest.mark.parametrize(
     ("rate_hz", "begin_s", "even"), [(5000, 0, 1), (5000, 3, 1), (3000, 0, 0), (5000, 12345.6788, 0)]
 )
-def test_times_in_a_universal_file_are_right_to_the_last(tmp_path, rate_hz, begin_s, even):
+def test_times_in_a_universal_file_are_correct_to_the_last(tmp_path, rate_hz, begin_s, even):
     """With a step of 1/3000 s in six digits, the last time of a minute would be wrong by 0.2 scans."""
     pyuff = pytest.importorskip("pyuff")
     times = begin_s + np.arange(60 * rate_hz) / rate_hz
@@ -224,7 +224,7 @@ def test_times_in_a_universal_file_are_right_to_the_last(tmp_path, rate_hz, begi
     np.testing.assert_allclose(one["x"], times, rtol=0.0, atol=1e-9)
 
 
-def test_a_table_without_functions_is_no_universal_file(tmp_path):
+def test_a_table_without_functions_is_not_exported_as_a_universal_file(tmp_path):
     pytest.importorskip("pyuff")
     with pytest.raises(RecordingError, match="neither"):
         write_columns(lambda: iter([{"regime": np.array(["periodic"])}]), tmp_path / "words.uff")
@@ -239,7 +239,7 @@ def test_large_tables_are_written_in_batches(run, tmp_path, monkeypatch):
     assert len(lines) == len(since_ns) + 1
 
 
-def test_refusals_name_what_would_be_right(run, tmp_path, record):
+def test_error_messages_name_the_valid_choices(run, tmp_path, record):
     with pytest.raises(RecordingError, match=r"must end in one of \.csv, \.npz, \.parquet, \.uff"):
         export(run, "daq/scan", tmp_path / "scan.xlsx")
     with pytest.raises(RecordingError, match="carries std_msgs/msg/String, not tables"):
@@ -252,7 +252,7 @@ def test_refusals_name_what_would_be_right(run, tmp_path, record):
         export(run, "daq/scan", tmp_path / "nowhere" / "scan.csv")
 
 
-def test_a_topic_without_messages_or_with_changing_columns_is_refused(record, tmp_path):
+def test_a_topic_without_messages_or_with_changing_columns_is_rejected(record, tmp_path):
     with record("other") as writer:
         writer.add_topic(SCAN_TOPIC)
         writer.add_topic(APPLIED_TOPIC)
@@ -295,7 +295,7 @@ def test_a_table_becomes_a_dataset_over_time_with_units(tmp_path):
 
 
 @pytest.mark.parametrize(("call", "library"), [("to_dataframe", "pandas"), ("to_xarray", "xarray")])
-def test_a_missing_extra_of_tables_is_named_with_what_installs_it(run, monkeypatch, call, library):
+def test_a_missing_library_of_tables_is_named_with_the_extra_that_installs_it(run, monkeypatch, call, library):
     monkeypatch.setitem(sys.modules, library, None)  # not to be imported
     with pytest.raises(ImpactRigError, match=rf"{call}\(\) needs {library}.*pip install 'impact_rig\[tables\]'"):
         getattr(run, call)("daq/scan")

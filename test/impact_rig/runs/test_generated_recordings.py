@@ -43,5 +43,5 @@ def test_every_edit_is_found(tmp_path: Path) -> None:
     assert not [f"{name}: {miss}" for name, miss in made.items() if miss]
 
 
-def test_there_are_sixty_kinds() -> None:
+def test_sixty_kinds_of_recordings_are_generated() -> None:
     assert len(KINDS) == 60

@@ -49,7 +49,7 @@ from impact_rig.runs import check_contiguity, info, recover
 from impact_rig.simtime import stamp_ns
 
 
-def test_a_whole_run_in_figures(record):
+def test_the_figures_of_a_complete_run_are_reported(record):
     with record(chunk_bytes=20_000) as writer:
         sent = fill(writer, 50)
     found = info(writer.directory)
@@ -84,7 +84,7 @@ def test_missing_blocks_are_counted(record):
     assert [(gap.block, gap.missing_scans) for gap in found.scans.gaps] == [(10, 300), (20, 100)]
 
 
-def test_a_rig_that_was_reset_is_told_apart_from_loss(record):
+def test_a_reset_is_distinguished_from_lost_blocks(record):
     with record() as writer:
         fill(writer, 10)
         fill(writer, 10)
@@ -93,7 +93,7 @@ def test_a_rig_that_was_reset_is_told_apart_from_loss(record):
     assert "the stamps go back 1 times" in found.verdict
 
 
-def test_a_run_without_scans(record):
+def test_a_run_without_scans_is_reported(record):
     with record() as writer:
         writer.add_topic(NOTES_TOPIC)
         writer.write(NOTES_TOPIC.name, string("alone"), 17)
@@ -104,7 +104,7 @@ def test_a_run_without_scans(record):
     assert found.start_ns == 17  # nothing else is known: the publish time
 
 
-def test_a_run_of_a_rig_that_has_told_its_rate_and_no_scans(record):
+def test_a_run_with_a_calibration_but_without_scans_is_reported(record):
     told = topic("/rig/daq/info", POINT_CLOUD)
     with record() as writer:
         writer.add_topic(told)
@@ -113,7 +113,7 @@ def test_a_run_of_a_rig_that_has_told_its_rate_and_no_scans(record):
     assert (found.rate_hz, found.duration_s, found.last_block_s) == (RATE_HZ, 0.0, 0.0)
 
 
-def test_what_comes_before_the_first_scan_is_logged_with_it(record):
+def test_messages_before_the_first_scan_have_its_log_time(record):
     with record() as writer:
         writer.add_topic(APPLIED_TOPIC)
         writer.write(APPLIED_TOPIC.name, applied_row(5, 9.1), 5)  # latched, of long before
@@ -139,7 +139,7 @@ def test_messages_too_short_for_a_header_are_kept(record):
     assert "is not a valid table" in info(writer.directory).verdict
 
 
-def test_a_damaged_chunk_becomes_the_verdict(record, tmp_path):
+def test_a_damaged_chunk_decides_the_verdict(record, tmp_path):
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 50)
     with open_run(writer.directory) as run:
@@ -154,7 +154,7 @@ def test_a_damaged_chunk_becomes_the_verdict(record, tmp_path):
     assert recover(writer.directory, tmp_path / "out").messages > found.messages
 
 
-def test_an_unfinished_run_says_what_to_do(record):
+def test_an_unfinished_run_is_reported_with_advice(record):
     writer = record()
     fill(writer, 5)
     with pytest.raises(RecordingError, match="impact-rig recover"):
@@ -179,7 +179,7 @@ RATES = st.sampled_from([10_000, 50_000, 25_600, 44_100, 100_003])
 
 
 @given(rate=RATES, start=st.integers(0, 2**61), first=st.integers(0, 10**9), lengths=st.lists(st.integers(1, 999)))
-def test_blocks_by_the_rule_are_contiguous(rate, start, first, lengths):
+def test_blocks_with_computed_stamps_are_contiguous(rate, start, first, lengths):
     """Stamps are `start_ns + i * 10**9 // rate_hz`, from any index on, whether or not the start is known."""
     blocks, index = [], first
     for length in lengths:
@@ -220,7 +220,7 @@ def test_a_stamp_off_the_grid_is_a_gap(known):
 
 
 @pytest.mark.parametrize("missed", [0, 1, 7])
-def test_between_two_rigs_nothing_is_missing_but_blocks_of_the_second(missed):
+def test_the_time_between_two_rigs_does_not_count_as_missing(missed):
     """The time between the death of a rig and scan 0 of the next must not count as missing blocks."""
     again = START_NS + 7_740_000_123
     blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (again + missed * 10_000_000, 100)]
@@ -229,14 +229,14 @@ def test_between_two_rigs_nothing_is_missing_but_blocks_of_the_second(missed):
         assert (result.lost_blocks, len(result.gaps)) == (missed, bool(missed))
 
 
-def test_a_block_that_comes_twice_is_no_loss():
+def test_a_repeated_block_does_not_count_as_lost():
     blocks = [(START_NS, 100), (START_NS + 10_000_000, 100), (START_NS + 10_000_000, 100), (START_NS + 20_000_000, 100)]
     result = check_contiguity(blocks, RATE_HZ, START_NS)
     assert (result.lost_blocks, result.restarts) == (0, 1)
     assert not result.whole
 
 
-def test_no_block_at_all_is_whole():
+def test_a_record_without_any_block_is_complete():
     assert check_contiguity([], RATE_HZ).whole
 
 
@@ -265,7 +265,7 @@ def rewritten(run, out, change):
 
 
 @pytest.mark.parametrize("topic", ["/rig/notes", "/rig/daq/scan"])
-def test_a_message_removed_and_its_neighbour_doubled_is_found_by_their_numbers(record, tmp_path, topic):
+def test_a_removed_message_with_a_doubled_neighbour_is_found_by_sequence_numbers(record, tmp_path, topic):
     """The number of messages is that of the received ones, but they are not the same messages."""
     with record() as writer:
         fill(writer, 30)
@@ -282,7 +282,7 @@ def test_a_message_removed_and_its_neighbour_doubled_is_found_by_their_numbers(r
     assert f"messages are in it twice: 1 of {topic}" in found.verdict
 
 
-def test_numbers_of_several_publishers_of_a_topic_overlap_and_are_no_doubles(record):
+def test_overlapping_numbers_of_several_publishers_are_not_repeated_messages(record):
     publishers = {"a": "one", "b": "other"}
     with record(account=Account(lambda _: publishers)) as writer:
         writer.add_topic(NOTES_TOPIC)
@@ -293,7 +293,7 @@ def test_numbers_of_several_publishers_of_a_topic_overlap_and_are_no_doubles(rec
     assert info(writer.directory).verdict.startswith("whole: ")
 
 
-def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path):
+def test_a_run_whose_account_omits_a_topic_is_not_called_complete(record, tmp_path):
     with record() as writer:
         fill(writer, 5)
     with open_run(writer.directory) as run:
@@ -316,7 +316,7 @@ def test_an_account_that_leaves_a_topic_out_makes_no_run_whole(record, tmp_path)
 
 
 @pytest.mark.parametrize("times", [np.array([b"a", b"b"], "S32"), np.array([0.0, 5e-324])])
-def test_times_that_are_none_say_no_rate(record, times):
+def test_invalid_times_yield_no_rate(record, times):
     """Texts for times, or times that are too close for numbers, must not raise a ValueError in recording or reading."""
     rows = np.zeros(2, [("time", times.dtype), ("laser", "f4")])
     rows["time"] = times
@@ -328,7 +328,7 @@ def test_times_that_are_none_say_no_rate(record, times):
     assert recover(writer.directory, writer.directory.with_name("out")).messages == 1
 
 
-def test_blocks_of_two_rigs_in_one_recording_are_judged_rig_by_rig(record):
+def test_blocks_of_two_rigs_in_one_recording_are_checked_separately(record):
     """The blocks of the rigs alternate: every second one would be a gap at which the stamps go back."""
 
     def judged(name, missing):
@@ -347,7 +347,7 @@ def test_blocks_of_two_rigs_in_one_recording_are_judged_rig_by_rig(record):
     assert "1 gaps in daq/scan; 2 blocks (200 scans) are missing" in found.verdict
 
 
-def test_blocks_of_one_scan_are_judged_too(record):
+def test_blocks_with_a_single_scan_are_checked_too(record):
     """Their times give no rate; the calibration or the stamps do."""
 
     def blocks(directory, numbers, calibration):
@@ -368,7 +368,7 @@ def test_blocks_of_one_scan_are_judged_too(record):
         assert "20 blocks (20 scans) are missing" in found.verdict
 
 
-def test_a_split_run_without_its_last_file_is_not_whole(record):
+def test_a_split_run_without_its_last_file_is_not_complete(record):
     with record(max_file_bytes=40_000, chunk_bytes=20_000) as writer:
         fill(writer, 60)
     assert len(writer.files) > 2
@@ -382,7 +382,7 @@ def test_a_split_run_without_its_last_file_is_not_whole(record):
     assert "metadata.yaml, which a finished run has, is missing" in found.verdict
 
 
-def test_a_run_being_written_is_told_from_one_that_was_cut_short(record, tmp_path):
+def test_a_run_being_written_is_distinguished_from_a_truncated_one(record, tmp_path):
     """The writer of a run holds a lock while it is alive; the advice for each case works."""
     writer = record(tail=True)
     sent = fill(writer, 5)

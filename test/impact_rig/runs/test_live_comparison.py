@@ -93,7 +93,7 @@ def scaled(by: float) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
-def test_the_same_data_on_the_same_machine_give_the_same_bits(whole: Messages, tmp_path: Path) -> None:
+def test_the_same_data_on_the_same_machine_yield_the_same_bits(whole: Messages, tmp_path: Path) -> None:
     found = compared(tmp_path, whole)
     assert (found.same, found.identical, found.elsewhere) == (True, True, False)
     assert (found.compared, found.left_out[0]) == (live_rows(whole), 0)
@@ -108,7 +108,7 @@ def test_one_bit_on_the_same_machine_is_a_difference(whole: Messages, tmp_path: 
 
 @pytest.mark.parametrize(("by", "same"), [(1.0 + 1e-12, True), (1.0 + 1e-8, False)])
 @pytest.mark.parametrize("known", [True, False], ids=["other machine", "unknown machine"])
-def test_elsewhere_results_agree_to_a_billionth_and_the_answer_says_so(
+def test_results_of_another_machine_agree_to_a_billionth_and_are_marked(
     whole: Messages, tmp_path: Path, by: float, same: bool, known: bool
 ) -> None:
     def elsewhere(rows: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_elsewhere_results_agree_to_a_billionth_and_the_answer_says_so(
 
 
 @pytest.mark.parametrize("late", [30, 160, 333], ids=lambda blocks: f"{blocks} blocks")
-def test_a_recorder_that_came_late_is_compared_from_the_first_shared_change(
+def test_a_run_of_a_late_recorder_is_compared_from_the_first_shared_change(
     whole: Messages, tmp_path: Path, late: int
 ) -> None:
     """The first change that both saw is a command; before it, live had waited since 0.07 s, the file since 0 s."""
@@ -147,7 +147,7 @@ def test_an_analysis_that_joined_late_is_compared_from_the_first_shared_change(t
     assert found.compared > 0
 
 
-def test_a_live_analysis_that_died_half_way_is_not_the_same(tmp_path: Path) -> None:
+def test_a_live_analysis_that_ended_halfway_is_reported_as_different(tmp_path: Path) -> None:
     data = messages(again=AGAIN)
     middle = early_rows(data)[-1]
     died = [(name, table) for name, table in data if name != TABLE or table.stamp_ns < middle.stamp_ns]
@@ -157,7 +157,7 @@ def test_a_live_analysis_that_died_half_way_is_not_the_same(tmp_path: Path) -> N
     assert "the live analysis published nothing at" in found.reason
 
 
-def test_a_row_that_is_missing_or_made_up_is_a_difference(tmp_path: Path) -> None:
+def test_a_missing_or_invented_row_is_a_difference(tmp_path: Path) -> None:
     data = messages(again=AGAIN)
     place = next(number for number, (_, table) in enumerate(data) if table is early_rows(data)[-1])
     assert compared(tmp_path / "missing", [*data[:place], *data[place + 1 :]]).same is False
@@ -187,7 +187,7 @@ def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans
     assert found.compared > 0
 
 
-def test_results_of_the_run_before_are_not_those_of_this_one(whole: Messages, tmp_path: Path) -> None:
+def test_results_of_the_previous_run_are_not_compared(whole: Messages, tmp_path: Path) -> None:
     """A campaign's rig starts each run at 0 s again, and a latched topic gives a recorder the earlier results."""
     before = [(name, attrs.evolve(table, stamp_ns=table.stamp_ns + 1)) for name, table in whole if "table" in name]
     assert before
@@ -204,7 +204,7 @@ def test_a_recording_without_a_live_measurement_is_not_called_identical(whole: M
     assert "nothing to compare with" in str(found)
 
 
-def test_the_command_says_it_and_its_code_follows(
+def test_the_command_reports_the_result_and_returns_its_code(
     whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
@@ -215,7 +215,7 @@ def test_the_command_says_it_and_its_code_follows(
     assert "not identical to the live results: transmissibility at" in capsys.readouterr().out
 
 
-def test_a_machine_that_computes_as_another_has_another_number(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_that_computes_differently_has_another_fingerprint(monkeypatch: pytest.MonkeyPatch) -> None:
     machine.identity.cache_clear()
     number = machine.fingerprint()
     assert 0 < number < 2**48
@@ -231,9 +231,7 @@ def test_a_machine_that_computes_as_another_has_another_number(monkeypatch: pyte
 
 @pytest.mark.parametrize("late", [1, 8, 60], ids=lambda blocks: f"{blocks} blocks")
 @pytest.mark.parametrize("begun", [0, 300], ids=["scan 0", "3 s"])
-def test_calibration_and_drive_that_come_some_blocks_late_are_those_of_the_first_block(
-    tmp_path: Path, late: int, begun: int
-) -> None:
+def test_late_calibration_and_drive_apply_from_the_first_block(tmp_path: Path, late: int, begun: int) -> None:
     """A recorder started in mid-run receives scans before latched messages; the live analysis knew these all along."""
     data = messages(again=AGAIN)
     part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= begun * TICK]
@@ -264,7 +262,7 @@ def with_impacts(**values: object) -> Messages:
     return result
 
 
-def test_the_impacts_that_live_had_found_are_compared_too(tmp_path: Path) -> None:
+def test_impacts_found_live_are_compared_too(tmp_path: Path) -> None:
     data = with_impacts()
     found = compared(tmp_path / "same", data)
     by_topic = {one.topic: one for one in found.others}
@@ -324,7 +322,7 @@ def without(rows: np.ndarray, name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("what", HOSTILE)
-def test_a_table_of_another_version_or_with_a_hostile_number_is_answered_in_one_line(
+def test_a_table_of_another_version_or_with_invalid_numbers_is_rejected_in_one_line(
     whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     topic, change, said = HOSTILE[what]
@@ -335,9 +333,7 @@ def test_a_table_of_another_version_or_with_a_hostile_number_is_answered_in_one_
     assert error.count("\n") == 1
 
 
-def test_settings_of_another_publisher_that_are_none_cost_nothing_but_themselves(
-    whole: Messages, tmp_path: Path
-) -> None:
+def test_invalid_settings_of_another_publisher_are_ignored(whole: Messages, tmp_path: Path) -> None:
     """The settings have an unknown key, or lack a column: those of the analysis are still used."""
     own = next(message for message in whole if message[0] == "analysis/settings")
     foreign = [
@@ -349,13 +345,13 @@ def test_settings_of_another_publisher_that_are_none_cost_nothing_but_themselves
         assert (found.same, found.identical) == (True, True)
 
 
-def test_a_measurement_of_a_version_before_some_columns_is_compared(whole: Messages, tmp_path: Path) -> None:
+def test_a_measurement_of_an_older_version_with_fewer_columns_is_compared(whole: Messages, tmp_path: Path) -> None:
     for column in ("spread", "regime"):
         older = edited(whole, TABLE, lambda rows, column=column: without(rows, column))
         assert compared(tmp_path / column, older).same is False  # the live row does not say it
 
 
-def test_an_analysis_that_was_started_again_is_compared_until_it_ended(whole: Messages, tmp_path: Path) -> None:
+def test_a_restarted_analysis_is_compared_until_its_first_end(whole: Messages, tmp_path: Path) -> None:
     """The restarted analysis labels what it will receive from stamp 0 on, which must not label the rows before it."""
     killed_ns, again_ns = 11 * NS_PER_S, 11_500_000_000
     found: Messages = []
@@ -387,7 +383,7 @@ def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Me
     assert "two analyses labelled this run at once" in str(comparison)
 
 
-def test_a_difference_is_found_in_any_column_of_a_row(whole: Messages) -> None:
+def test_a_difference_in_any_column_of_a_row_is_found(whole: Messages) -> None:
     """Here to the last bit, and on another machine beyond 1e-9: a word, a number, or a number instead of none."""
     (row,) = next(table for name, table in whole if name == TABLE and table.rows["settled"][0] == 1).rows
     for name in row.dtype.names:
@@ -399,7 +395,7 @@ def test_a_difference_is_found_in_any_column_of_a_row(whole: Messages) -> None:
         assert reanalysis._different(row, other, exact=False) == name
 
 
-def test_a_label_that_is_told_before_the_first_scan_is_of_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
+def test_a_label_before_the_first_scan_belongs_to_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
     """The first job of the demo labels an analysis that has seen no scan: its stamp is 0, as at a start."""
     place = next(place for place, (name, _) in enumerate(whole) if name == "analysis/settings")
     result = compared(tmp_path, [*whole[: place + 1], whole[place], *whole[place + 1 :]])

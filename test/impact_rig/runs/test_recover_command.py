@@ -35,7 +35,7 @@ def said(capsys):
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_a_cut_file_is_told_with_a_code_of_its_own(record, tmp_path, capsys):
+def test_a_truncated_file_is_reported_with_its_own_exit_code(record, tmp_path, capsys):
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 40)
     path = writer.files[0]
@@ -57,7 +57,7 @@ def test_a_cut_file_is_told_with_a_code_of_its_own(record, tmp_path, capsys):
     assert "recovered from run" in said(capsys)
 
 
-def test_messages_seconds_and_bytes_are_told_by_file(record, tmp_path):
+def test_messages_seconds_and_bytes_are_reported_per_file(record, tmp_path):
     """A damaged chunk in the middle of the second file: the first is complete, the second lacks what the chunk held."""
     with record(max_file_duration_ns=190_000_000, chunk_bytes=20_000) as writer:
         sent = fill(writer, 40)
@@ -80,7 +80,7 @@ def test_messages_seconds_and_bytes_are_told_by_file(record, tmp_path):
     assert not report.complete
 
 
-def test_an_intact_run_is_given_back_with_code_zero_and_marked(record, tmp_path, capsys):
+def test_an_intact_run_is_recovered_with_exit_code_zero_and_marked(record, tmp_path, capsys):
     with record() as writer:
         sent = fill(writer, 10)
     assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == 0
@@ -91,7 +91,7 @@ def test_an_intact_run_is_given_back_with_code_zero_and_marked(record, tmp_path,
     assert "whole" not in found.verdict
 
 
-def test_chunks_without_checksum_need_the_switch(tmp_path, capsys):
+def test_chunks_without_checksum_need_an_option(tmp_path, capsys):
     path = tmp_path / "bag.mcap"
     foreign_file(path, crc=False)
     assert main(["recover", str(path), str(tmp_path / "refused")]) == 1
@@ -101,7 +101,7 @@ def test_chunks_without_checksum_need_the_switch(tmp_path, capsys):
         assert [bytes(message.data) for message in run.messages()] == [scan_block(number) for number in range(3)]
 
 
-def test_what_the_recorder_had_missed_stays_known(record, tmp_path):
+def test_messages_that_the_recorder_missed_stay_listed(record, tmp_path):
     with record() as writer:
         fill(writer, 5)
         writer.write(SCAN_TOPIC.name, scan_block(5), 0, 9)

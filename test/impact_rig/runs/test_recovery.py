@@ -126,7 +126,7 @@ THOROUGH = pytest.mark.slow
     ],
 )
 @pytest.mark.repeats
-def test_truncation_at_any_byte(tmp_path, compression, topics, cuts):
+def test_a_run_truncated_at_any_byte_is_recovered(tmp_path, compression, topics, cuts):
     whole = small_run(tmp_path / "run", compression, topics)
     data = whole.read_bytes()
     sent, attachments, provenance = read_all(whole)
@@ -152,7 +152,7 @@ def test_truncation_at_any_byte(tmp_path, compression, topics, cuts):
         shutil.rmtree(out)
 
 
-def test_an_intact_run_is_given_back_whole(record, tmp_path):
+def test_an_intact_run_is_recovered_completely(record, tmp_path):
     with record(chunk_bytes=40_000) as writer:
         sent = fill(writer, 40)
     report = recover(writer.directory, tmp_path / "out")
@@ -166,7 +166,7 @@ def test_an_intact_run_is_given_back_whole(record, tmp_path):
     assert theirs | {"files": 0, "relative_file_paths": 0} == ours | {"files": 0, "relative_file_paths": 0}
 
 
-def test_a_cut_run_is_readable_by_other_tools_again(record, tmp_path):
+def test_a_truncated_run_is_readable_by_other_tools_after_recovery(record, tmp_path):
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 40)
     data = writer.files[0].read_bytes()
@@ -228,7 +228,7 @@ def test_one_flipped_bit_costs_at_most_one_chunk(tmp_path, compression, flips):
 
 @pytest.mark.parametrize("cases", [60, pytest.param(300, marks=THOROUGH)])
 @pytest.mark.repeats
-def test_many_flipped_bits_and_overwritten_stretches(tmp_path, cases):
+def test_many_flipped_bits_and_overwritten_parts_yield_no_wrong_message(tmp_path, cases):
     path = small_run(tmp_path / "run")
     data = path.read_bytes()
     sent, attachments, provenance = read_all(path)
@@ -248,7 +248,7 @@ def test_many_flipped_bits_and_overwritten_stretches(tmp_path, cases):
     assert sum(back) > cases  # the test would prove nothing if everything were refused
 
 
-def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypatch):
+def test_a_chunk_after_damage_of_any_length_is_found(tmp_path, monkeypatch):
     """The chunk may lie across the edges of what is read at once."""
     monkeypatch.setattr(recovery, "_FIRST_WINDOW_BYTES", recovery._PATTERN_BYTES)
     path = tmp_path / "damaged.mcap"
@@ -263,7 +263,7 @@ def test_a_chunk_is_found_wherever_the_damage_before_it_ends(tmp_path, monkeypat
             assert found == recovery.Found(records.CHUNK, len(records.MAGIC) + lost, len(chunk))
 
 
-def test_records_that_are_cut_anywhere_are_damage(tmp_path):
+def test_records_truncated_anywhere_count_as_damage(tmp_path):
     path = small_run(tmp_path / "run", "none")
     with open_run(path) as run:
         content = bytes(run.sources[0].content(run.sources[0].segments[0]))
@@ -282,7 +282,7 @@ def test_records_that_are_cut_anywhere_are_damage(tmp_path):
                 read(view)
 
 
-def test_losing_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):
+def test_the_loss_of_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):
     """The topics are repeated outside the chunks, so an unfinished file does not depend on its first chunk."""
     path = small_run(tmp_path / "run")
     sent, _, _ = read_all(path)
@@ -295,7 +295,7 @@ def test_losing_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):
     assert "chunk" in report.damages[0].reason
 
 
-def test_a_damaged_run_says_what_is_lost(tmp_path):
+def test_the_losses_of_a_damaged_run_are_reported(tmp_path):
     path = small_run(tmp_path / "run")
     ends = chunk_ends(path)
     data = bytearray(path.read_bytes())
@@ -313,7 +313,7 @@ def test_a_damaged_run_says_what_is_lost(tmp_path):
     assert report.lost_bytes == damage.length
 
 
-def test_split_runs_are_recovered_part_by_part(record, tmp_path):
+def test_split_runs_are_recovered_file_by_file(record, tmp_path):
     with record(max_file_duration_ns=100_000_000, chunk_bytes=20_000) as writer:
         sent = fill(writer, 40)
     last = writer.files[-1]
@@ -326,7 +326,7 @@ def test_split_runs_are_recovered_part_by_part(record, tmp_path):
     assert [m[2] for m in read_all(tmp_path / "out")[0]] == [s.data for s in sent]
 
 
-def test_a_damaged_metadata_yaml_does_not_stop_recovery(record, tmp_path):
+def test_a_damaged_metadata_yaml_does_not_prevent_recovery(record, tmp_path):
     with record() as writer:
         sent = fill(writer, 5)
     (writer.directory / "metadata.yaml").write_bytes(b"\xff\x00[")
@@ -335,7 +335,7 @@ def test_a_damaged_metadata_yaml_does_not_stop_recovery(record, tmp_path):
     assert recover(writer.directory, tmp_path / "out").messages == len(sent)
 
 
-def test_files_of_a_split_run_are_recovered_in_order_whatever_lists_them(record, tmp_path):
+def test_files_of_a_split_run_are_recovered_in_order_without_metadata_yaml(record, tmp_path):
     """Without metadata.yaml, the eleventh file must not come before the third."""
     with record(max_file_duration_ns=20_000_000) as writer:
         sent = fill(writer, 40)
@@ -357,7 +357,7 @@ def test_the_first_of_several_attachments_of_one_name_is_that_of_the_start(recor
             assert run.attachments()["config.yaml"] == CONFIG
 
 
-def test_what_an_earlier_recovery_left_out_is_still_told(record, tmp_path):
+def test_losses_of_an_earlier_recovery_are_still_reported(record, tmp_path):
     """The result of a recovery that is recovered again must still state what the first one left out."""
     with record(chunk_bytes=20_000) as writer:
         fill(writer, 30)
@@ -373,7 +373,7 @@ def test_what_an_earlier_recovery_left_out_is_still_told(record, tmp_path):
     assert not twice.intact
 
 
-def test_nothing_is_overwritten_by_recovery(record, tmp_path):
+def test_recovery_overwrites_no_file(record, tmp_path):
     with record() as writer:
         fill(writer, 5)
     before = writer.files[0].read_bytes()
@@ -394,7 +394,7 @@ def test_nothing_is_overwritten_by_recovery(record, tmp_path):
     ],
     ids=["empty", "magic", "huge length", "zeros", "noise", "hollow chunks"],
 )
-def test_files_that_are_no_recordings(tmp_path, content):
+def test_files_that_are_not_recordings_are_rejected(tmp_path, content):
     (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(RecordingError, match=r"x.mcap: it"):
         open_run(tmp_path / "x.mcap")
@@ -402,7 +402,7 @@ def test_files_that_are_no_recordings(tmp_path, content):
         recover(tmp_path / "x.mcap", tmp_path / "out")
 
 
-def test_chunks_without_checksum_are_taken_only_on_request(tmp_path):
+def test_chunks_without_checksum_are_recovered_only_on_request(tmp_path):
     """rosbag2 writes no chunk checksums by default; such a file can be read, but recovery cannot vouch for it."""
     foreign_file(tmp_path / "bag.mcap", crc=False)
     with open_run(tmp_path / "bag.mcap") as run:
@@ -413,7 +413,7 @@ def test_chunks_without_checksum_are_taken_only_on_request(tmp_path):
     assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
 
 
-def test_messages_outside_chunks_are_recovered_on_request_only(tmp_path):
+def test_messages_outside_chunks_are_recovered_only_on_request(tmp_path):
     foreign_file(tmp_path / "bag.mcap", chunked=False)
     with open_run(tmp_path / "bag.mcap") as run:
         assert [bytes(m.data) for m in run.messages()] == [scan_block(i) for i in range(3)]
@@ -422,7 +422,7 @@ def test_messages_outside_chunks_are_recovered_on_request_only(tmp_path):
     assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
 
 
-def test_a_chunk_that_claims_gigabytes_is_not_believed(tmp_path):
+def test_a_chunk_that_claims_gigabytes_is_not_decompressed(tmp_path):
     path = small_run(tmp_path / "run", "none")
     with open_run(path) as run:
         index = run.sources[0].summary.chunk_indexes[1]
@@ -499,7 +499,7 @@ def test_a_killed_writer_loses_less_than_a_second_at_any_instant(tmp_path, after
     kill_a_writer(tmp_path, after_s)
 
 
-def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypatch):
+def test_the_number_of_recovered_topics_is_bounded(tmp_path, monkeypatch):
     """A small file can define very many topics; the limit is that for reading a run."""
     path = tmp_path / "many.mcap"
     writer = Writer(str(path), compression=CompressionType.NONE)
@@ -517,7 +517,7 @@ def test_more_topics_than_any_reader_takes_are_not_collected(tmp_path, monkeypat
     assert len(taken) == budget.TOPICS + 1
 
 
-def test_where_records_do_not_follow_each_other_metadata_and_attachments_are_found_again(tmp_path):
+def test_metadata_and_attachments_after_a_damaged_length_are_found(tmp_path):
     """One damaged length must not lose what is between it and the next chunk."""
     path = small_run(tmp_path / "run")
     whole = path.read_bytes()

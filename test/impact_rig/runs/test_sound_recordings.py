@@ -129,7 +129,7 @@ def test_a_recording_over_a_restart_at_zero_is_verified(tmp_path: Path, blocks: 
     assert compared.count == joints
 
 
-def test_a_recording_begun_in_mid_session_spans_what_it_holds(tmp_path: Path) -> None:
+def test_a_recording_that_starts_during_a_session_spans_only_its_own_data(tmp_path: Path) -> None:
     values = {"daq.rate_hz": 200, "daq.block_scans": 20, "sphere.present": False, "daq.seed": 5}
     rig = Rig(from_flat(RigConfig(), values))
     deeds = {5: lambda: rig.accept(frequency_hz=9.0, amplitude=0.5), 2_450: lambda: rig.accept(frequency_hz=9.6)}
@@ -172,7 +172,7 @@ def test_a_recording_of_the_third_version_is_still_read() -> None:
         assert found[name] == pytest.approx(live[name], abs=live["transmissibility_uncertainty"].max())
 
 
-def test_a_reset_inside_a_block_is_no_gap(tmp_path: Path) -> None:
+def test_a_reset_inside_a_block_does_not_count_as_a_gap(tmp_path: Path) -> None:
     """A reset drops the scans that do not fill a block."""
     rig = Rig(from_flat(RigConfig(), {"daq.block_scans": 150, "sphere.present": False}))
     parts: list[Any] = []
@@ -207,7 +207,7 @@ def test_true_impacts_are_not_taken_for_detected_ones(tmp_path: Path) -> None:
     assert any("impacts: not compared: it is not in this run" in str(one) for one in compared.others)
 
 
-def test_an_analysis_that_is_some_long_blocks_behind_had_not_ended(tmp_path: Path) -> None:
+def test_an_analysis_some_long_blocks_behind_does_not_count_as_ended(tmp_path: Path) -> None:
     values = {"daq.rate_hz": 1000, "daq.block_scans": 500, "sphere.present": False}
     changes = {0: (9.1, 0.52), 30: (9.3, None), 60: (9.5, None), 65: (9.7, None)}
     rig = Rig(from_flat(RigConfig(), values))
@@ -219,7 +219,7 @@ def test_an_analysis_that_is_some_long_blocks_behind_had_not_ended(tmp_path: Pat
     assert "had it ended?" in ended.reason, "further behind than a rig runs ahead"
 
 
-def test_a_hole_that_the_rig_had_not_reached_is_no_difference(tmp_path: Path) -> None:
+def test_missing_samples_that_the_rig_had_not_reached_are_no_difference(tmp_path: Path) -> None:
     rig = Rig(from_flat(RigConfig(), {"drive.waveform": "stream", "drive.amplitude": 0.0, "sphere.present": False}))
     found: list[Any] = []
 
@@ -241,7 +241,7 @@ def test_a_hole_that_the_rig_had_not_reached_is_no_difference(tmp_path: Path) ->
     assert checked.scans == 1600
 
 
-def test_another_sample_that_is_missing_is_found(tmp_path: Path) -> None:
+def test_a_missing_sample_that_the_rig_had_used_is_found(tmp_path: Path) -> None:
     """The rig had this sample, so its absence is a difference."""
     rig = Rig(from_flat(RigConfig(), {"drive.waveform": "stream", "drive.amplitude": 0.0, "sphere.present": False}))
     found: list[Any] = []
@@ -261,7 +261,7 @@ def test_another_sample_that_is_missing_is_found(tmp_path: Path) -> None:
     assert "sample 1000" in checked.reason
 
 
-def test_messages_of_third_kinds_keep_their_stamps(tmp_path: Path) -> None:
+def test_messages_of_other_types_keep_their_stamps(tmp_path: Path) -> None:
     found = messages(2)
     with open_run(record(tmp_path / "run", found)) as run:
         wanted = [table.stamp_ns for topic, table in found if topic == "shaker/applied"]
@@ -270,7 +270,7 @@ def test_messages_of_third_kinds_keep_their_stamps(tmp_path: Path) -> None:
         assert codec.header_stamp_ns(next(run.messages(["daq/info"])).data) == 0
 
 
-def test_a_verdict_says_what_it_did_not_look_at_and_sees_what_the_index_hides(
+def test_a_verdict_lists_unchecked_topics_and_includes_unindexed_messages(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 1000, "daq.block_scans": 50, "sphere.present": False}))

@@ -57,14 +57,14 @@ def verdict(directory: Path, found: Messages) -> Verification:
         return verify(run)
 
 
-def test_a_run_is_what_its_journal_says(whole: Messages, tmp_path: Path) -> None:
+def test_a_run_agrees_with_its_journal_bit_for_bit(whole: Messages, tmp_path: Path) -> None:
     """With commands, changed mechanics, a fault and an emergency stop, every scan is re-simulated bit for bit."""
     found = verdict(tmp_path, whole)
     scans = sum(len(table.rows) for name, table in whole if name == "daq/scan")
     assert found == Verification(True, scans)
 
 
-def test_a_recorder_that_came_late_can_verify_too(whole: Messages, tmp_path: Path) -> None:
+def test_a_run_of_a_late_recorder_can_be_verified(whole: Messages, tmp_path: Path) -> None:
     late = [(name, table) for name, table in whole if name != "daq/scan" or table.stamp_ns >= 300 * TICK]
     assert verdict(tmp_path, late).identical
 
@@ -87,7 +87,7 @@ def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
     )
 
 
-def test_a_changed_command_or_seed_is_found_where_it_begins_to_matter(whole: Messages, tmp_path: Path) -> None:
+def test_a_changed_command_or_seed_is_found_where_it_takes_effect(whole: Messages, tmp_path: Path) -> None:
     def command(entry: JournalEntry) -> JournalEntry:
         return attrs.evolve(entry, value=entry.value * 1.001) if entry.name == "current" else entry
 
@@ -120,7 +120,7 @@ def test_a_lost_block_is_a_difference(whole: Messages, tmp_path: Path) -> None:
     ],
     ids=["beginning", "middle", "none", "negative"],
 )
-def test_without_its_whole_journal_a_run_is_not_verifiable(
+def test_a_run_with_an_incomplete_journal_cannot_be_verified(
     whole: Messages, tmp_path: Path, change: Callable[[JournalEntry], Any], reason: str
 ) -> None:
     found = verdict(tmp_path, edited(whole, "rig/journal", change))
@@ -140,7 +140,9 @@ class _OfBefore(Provenance):
     [attrs.evolve(PROVENANCE, arithmetic=1), _OfBefore(version="0", seed=5, wall_start_ns=0)],
     ids=["named", "unwritten"],
 )
-def test_a_run_of_another_arithmetic_is_not_accused(whole: Messages, tmp_path: Path, provenance: Provenance) -> None:
+def test_a_run_of_another_arithmetic_is_not_called_different(
+    whole: Messages, tmp_path: Path, provenance: Provenance
+) -> None:
     """This version cannot compute its bits: a changed scan is not found, and nothing is called different."""
 
     def change(rows: np.ndarray) -> np.ndarray:
@@ -160,7 +162,7 @@ def test_a_run_of_another_recorder_is_verified_by_its_journal(whole: Messages, t
         assert verify(opened).identical
 
 
-def test_a_rescued_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> None:
+def test_a_recovered_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> None:
     old = _OfBefore(version="0", seed=5, wall_start_ns=0)
     rescued = tmp_path / "rescued"
     recover(record(tmp_path / "run", whole[:200], old), rescued)
@@ -169,7 +171,7 @@ def test_a_rescued_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("deed", ["drive", "gap", "reset"])
-def test_what_a_killed_recorder_had_not_received_is_no_difference(tmp_path: Path, deed: str) -> None:
+def test_data_that_a_killed_recorder_had_not_received_are_no_difference(tmp_path: Path, deed: str) -> None:
     """Topics overtake each other: scans and other topics were recorded, but not the entry about the cause."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
     deeds: dict[str, Callable[[], object]] = {
@@ -212,7 +214,7 @@ def reset_rig() -> tuple[Messages, Messages, Messages]:
     return tuple(parts)
 
 
-def test_a_run_goes_on_behind_a_reset(tmp_path: Path) -> None:
+def test_a_run_with_resets_is_verified_throughout(tmp_path: Path) -> None:
     """The journal before the reset must be kept; without it, a sound run differs after no identical scan."""
     first, second, third = reset_rig()
     found = verdict(tmp_path / "whole", [*first, *second, *third])
@@ -221,7 +223,7 @@ def test_a_run_goes_on_behind_a_reset(tmp_path: Path) -> None:
     assert verdict(tmp_path / "late", [*late, *second, *third]) == Verification(True, 2 * 30 * 100)
 
 
-def test_a_difference_behind_a_reset_is_found(tmp_path: Path) -> None:
+def test_a_difference_after_a_reset_is_found(tmp_path: Path) -> None:
     first, second, third = reset_rig()
 
     def change(rows: np.ndarray) -> np.ndarray:
@@ -244,14 +246,14 @@ def test_a_block_lost_before_a_reset_is_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start_ns", [0, 10**10], ids=["lockstep", "realtime"])
-def test_a_rig_that_was_started_again_begins_a_new_journal(tmp_path: Path, start_ns: int) -> None:
+def test_a_restarted_rig_begins_a_new_journal(tmp_path: Path, start_ns: int) -> None:
     """In simulated time its stamps start at zero again; in real time the end of the first run is unknown."""
     first, _, _ = reset_rig()
     again = published(Rig(from_flat(RigConfig(), {"daq.seed": 9}), start_ns), 20)
     assert verdict(tmp_path, [*first, *again]) == Verification(True, 50 * 100)
 
 
-def test_a_block_withheld_by_a_fault_is_no_loss(tmp_path: Path) -> None:
+def test_a_block_withheld_by_a_fault_does_not_count_as_lost(tmp_path: Path) -> None:
     planned = ("lost_block start_s=0.1 duration_s=0.05",)
     rig = Rig(from_flat(RigConfig(), {"instruments.faults.planned": planned}))
     found = published(rig, 40)
@@ -260,7 +262,7 @@ def test_a_block_withheld_by_a_fault_is_no_loss(tmp_path: Path) -> None:
     assert verdict(tmp_path, found) == Verification(True, sum(len(table.rows) for table in scans))
 
 
-def test_the_command_line_says_it_all(
+def test_verify_analyze_info_and_export_accept_a_complete_run(
     whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
@@ -277,7 +279,7 @@ def test_the_command_line_says_it_all(
     assert "holds no *.mcap file" in " ".join(capsys.readouterr().err.split())
 
 
-def test_live_analysis_settings_are_those_of_the_run(whole: Messages, tmp_path: Path) -> None:
+def test_a_run_is_analysed_with_its_recorded_settings(whole: Messages, tmp_path: Path) -> None:
     """A run measured with other settings is analysed with them, and its label holds."""
     with open_run(record(tmp_path / "run", whole)) as run:
         default = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
@@ -295,7 +297,7 @@ def test_live_analysis_settings_are_those_of_the_run(whole: Messages, tmp_path: 
     assert distortion[0] > distortion[1] == 0.0, "one harmonic knows no distortion"
 
 
-def test_tables_of_another_kind_are_no_settings(whole: Messages, tmp_path: Path) -> None:
+def test_tables_of_another_kind_are_not_taken_for_settings(whole: Messages, tmp_path: Path) -> None:
     def change(rows: np.ndarray) -> np.ndarray:
         rows["key"][0] = b"unheard"
         return rows
@@ -328,7 +330,7 @@ def recorded() -> list[tuple[str, object]]:
     )
 
 
-def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(recorded, tmp_path: Path) -> None:
+def test_every_topic_of_the_rig_is_compared_and_reported(recorded, tmp_path: Path) -> None:
     found = verdict(tmp_path, recorded)
     assert found.identical, [str(one) for one in found.topics if one.difference]
     counts = {one.topic: one.count for one in found.topics}
@@ -340,7 +342,7 @@ def test_everything_that_the_rig_published_is_compared_and_told_topic_by_topic(r
 
 
 @pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
-def test_a_recorder_that_came_late_heard_less_and_is_not_accused(recorded, tmp_path: Path, begun: int) -> None:
+def test_topics_that_a_late_recorder_missed_are_no_difference(recorded, tmp_path: Path, begun: int) -> None:
     """Truth and scans begin one after the other; latched messages are there from before."""
     latched = ("rig/journal", "shaker/applied", "daq/info", "truth/faults", "rig/configuration")
     scans = [place for place, (name, _) in enumerate(recorded) if name == "daq/scan"]
@@ -369,7 +371,7 @@ TAMPERED = {
 
 @pytest.mark.parametrize("where", [0.3, 0.9])
 @pytest.mark.parametrize("topic", TAMPERED)
-def test_one_altered_value_beside_the_scans_is_named(recorded, tmp_path: Path, topic: str, where: float) -> None:
+def test_an_altered_value_of_any_other_topic_is_named(recorded, tmp_path: Path, topic: str, where: float) -> None:
     places = [place for place, (name, _) in enumerate(recorded) if name == topic]
     place = places[int(where * len(places))]
     found = verdict(
@@ -382,7 +384,7 @@ def test_one_altered_value_beside_the_scans_is_named(recorded, tmp_path: Path, t
 
 
 @pytest.mark.parametrize("topic", [*TAMPERED, "truth/joint_states"])
-def test_a_message_that_is_missing_or_made_up_is_named(recorded, tmp_path: Path, topic: str) -> None:
+def test_a_missing_or_invented_message_is_named(recorded, tmp_path: Path, topic: str) -> None:
     places = [place for place, (name, _) in enumerate(recorded) if name == topic]
     place = places[len(places) // 2]
     name, one = recorded[place]
@@ -418,7 +420,7 @@ def test_an_altered_joint_state_and_configuration_are_named(recorded, tmp_path: 
     assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
-def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(recorded, tmp_path: Path) -> None:
+def test_a_session_that_returned_to_its_first_configuration_is_no_difference(recorded, tmp_path: Path) -> None:
     """The first earlier latched text equals the run's own, the next one does not; this is no difference."""
     place = next(place for place, (name, _) in enumerate(recorded) if name == "rig/configuration")
     name, own = recorded[place]
@@ -431,7 +433,7 @@ def test_a_session_that_came_back_to_its_first_configuration_is_not_accused(reco
     assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
 
 
-def test_a_row_that_the_rig_itself_would_have_written_cannot_be_invented_or_removed(recorded, tmp_path: Path) -> None:
+def test_an_invented_or_removed_result_of_the_rig_in_the_journal_is_found(recorded, tmp_path: Path) -> None:
     """A trip is a result: a journal without it, or with another one, leads to other rows."""
     assert any(name == "rig/journal" and one.kind is InputKind.TRIP for name, one in recorded)
 
@@ -469,7 +471,7 @@ def test_a_command_altered_by_less_than_a_step_of_the_converter_is_found(recorde
     assert any("0.520000000001" in one.difference for one in found.topics if one.topic == "shaker/applied")
 
 
-def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(recorded, tmp_path: Path) -> None:
+def test_journal_entries_of_another_publisher_are_ignored_and_reported(recorded, tmp_path: Path) -> None:
     foreign = ("rig/journal", Remark('{"value": 1}', 0))
     found = verdict(tmp_path, [*recorded[:400], foreign, *recorded[400:]])
     assert found.identical, found.reason
@@ -485,9 +487,7 @@ def test_what_somebody_else_published_on_the_journal_is_left_out_and_told(record
         ("shaker/applied", lambda rows: without(rows, "phase"), "column 'phase' is missing"),
     ],
 )
-def test_a_column_that_is_missing_is_told_in_one_line(
-    recorded, tmp_path: Path, topic, change, said, capsys, monkeypatch
-):
+def test_a_missing_column_is_reported_in_one_line(recorded, tmp_path: Path, topic, change, said, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     assert main(["verify", str(record(tmp_path / "run", edited(recorded[:300], topic, change)))]) == 1
     shown = capsys.readouterr()

@@ -103,7 +103,7 @@ def test_the_window_of_a_frequency_response_can_be_chosen(swept: Path, capsys: p
     assert bias[1] is None or bias[1] > 2.0 * bias[0]
 
 
-def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sine_yields_one_line_and_is_reported_as_a_sine(steady: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(steady), "--frf", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["sine"]
@@ -122,7 +122,7 @@ def test_a_sine_is_one_line_and_said_to_be_one(steady: Path, capsys: pytest.Capt
         ("1e-3", "segment must be 8 to 100000"),
     ],
 )
-def test_a_segment_that_cannot_be_is_refused(
+def test_an_impossible_segment_length_is_rejected(
     swept: Path, segment: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["analyze", str(swept), "--frf", "--segment", segment]) == 1

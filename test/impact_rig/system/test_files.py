@@ -40,7 +40,7 @@ def victim(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_exists_completely_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "out.txt"
 
     def fail_half_way() -> None:
@@ -58,7 +58,7 @@ def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_new_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
+def test_a_new_file_has_ordinary_permissions(tmp_path: Path) -> None:
     (tmp_path / "other").write_text("")
     files.write_text(tmp_path / "mine", "")
     assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) == stat.S_IMODE((tmp_path / "other").stat().st_mode)
@@ -69,7 +69,7 @@ def partial_of(file: BinaryIO) -> Path:
 
 
 @pytest.mark.parametrize("what", ["link", "directory", "being written"])
-def test_what_another_user_created_under_the_name_on_the_way_is_left_alone(
+def test_a_file_of_another_user_under_the_temporary_name_is_not_touched(
     tmp_path: Path, victim: Path, what: str
 ) -> None:
     usual = tmp_path / ".out.partial"
@@ -91,7 +91,7 @@ def test_what_another_user_created_under_the_name_on_the_way_is_left_alone(
     assert victim.read_bytes() == THEIRS
 
 
-def test_what_a_killed_process_left_is_removed_when_the_file_is_written_again(tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_process_are_removed_when_the_file_is_rewritten(tmp_path: Path) -> None:
     program = """
 import os, signal, sys
 from pathlib import Path
@@ -110,7 +110,7 @@ with files.atomic_write(Path(sys.argv[1])) as file:
     assert path.read_bytes() == MINE
 
 
-def test_a_link_in_the_place_is_replaced_and_not_followed(tmp_path: Path, victim: Path) -> None:
+def test_a_link_at_the_path_is_replaced_and_not_followed(tmp_path: Path, victim: Path) -> None:
     (tmp_path / "out").symlink_to(victim)
     files.write_text(tmp_path / "out", MINE.decode())
     assert victim.read_bytes() == THEIRS
@@ -119,7 +119,7 @@ def test_a_link_in_the_place_is_replaced_and_not_followed(tmp_path: Path, victim
 
 
 @pytest.mark.parametrize("what", ["file", "link", "link to nowhere"])
-def test_what_must_be_kept_is_kept(tmp_path: Path, victim: Path, what: str) -> None:
+def test_a_file_that_must_be_kept_is_not_overwritten(tmp_path: Path, victim: Path, what: str) -> None:
     path = tmp_path / "out"
     if what == "file":
         path.write_bytes(THEIRS)
@@ -137,7 +137,9 @@ def test_what_must_be_kept_is_kept(tmp_path: Path, victim: Path, what: str) -> N
     assert not list(tmp_path.glob(".*"))
 
 
-def test_what_must_be_kept_is_kept_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_must_be_kept_is_not_overwritten_without_hard_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """This is as on FAT. There is no such file system to test on, so the system call that FAT lacks is removed."""
 
     def refuse(*_: object) -> None:
@@ -153,7 +155,7 @@ def test_what_must_be_kept_is_kept_without_hard_links(tmp_path: Path, monkeypatc
     assert path.read_bytes() == MINE
 
 
-def test_only_regular_files_are_opened_and_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
+def test_only_regular_files_are_opened_without_waiting_for_a_fifo(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     (tmp_path / "device").symlink_to("/dev/zero")
     for name in ("fifo", "device"):
@@ -174,7 +176,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a directory away")
-def test_a_directory_of_somebody_else_is_refused(tmp_path: Path) -> None:
+def test_a_directory_of_another_user_is_rejected(tmp_path: Path) -> None:
     files.refuse_foreign(tmp_path)
     directory = tmp_path / "theirs"
     directory.mkdir()
@@ -188,14 +190,14 @@ def test_a_directory_of_somebody_else_is_refused(tmp_path: Path) -> None:
         files.refuse_foreign(link)
 
 
-def test_what_the_system_refuses_is_told_in_words_and_what_has_words_keeps_them(tmp_path: Path) -> None:
+def test_system_errors_become_messages_and_errors_of_the_package_keep_theirs(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"^there: No such file or directory$"), files.translate_errors("there"):
         (tmp_path / "nothing").read_bytes()
     with pytest.raises(RecordingError, match=r"^no room$"), files.translate_errors("there"):
         raise RecordingError("no room")
 
 
-def test_state_is_kept_in_the_users_folder_else_in_a_temporary_one(
+def test_state_is_stored_in_the_folder_of_the_user_or_a_temporary_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
@@ -208,7 +210,7 @@ def test_state_is_kept_in_the_users_folder_else_in_a_temporary_one(
     assert found.is_dir()
 
 
-def test_a_path_that_exists_gets_a_number(tmp_path: Path) -> None:
+def test_a_number_is_appended_to_an_existing_path(tmp_path: Path) -> None:
     """Two commands without --output that start within one second must not use one folder."""
     taken = []
     for _ in range(3):

@@ -49,7 +49,7 @@ def _own_directory(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(files, "LOCK_PARENTS", (tmp_path,))
 
 
-def test_a_lock_is_held_by_one_until_it_is_closed() -> None:
+def test_a_lock_has_one_holder_until_it_is_closed() -> None:
     first = files.hold("places", "7.cell")
     assert first is not None
     assert files.hold("places", "7.cell") is None
@@ -76,7 +76,7 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path) -> None:
     os.close(again)
 
 
-def test_a_lock_that_another_program_holds_means_nothing() -> None:
+def test_a_lock_of_another_program_does_not_count() -> None:
     """A lock that `flock FILE` of another program holds must not stop a rig from starting."""
     os.close(files.hold("places", "7.cell") or 0)
     path = files.lock_directory() / "places" / "7.cell.lock"
@@ -93,7 +93,7 @@ def test_a_lock_that_another_program_holds_means_nothing() -> None:
     os.close(held)
 
 
-def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
+def test_a_planted_link_is_not_followed(tmp_path) -> None:
     places = files.lock_directory() / "places"
     places.mkdir()
     (places / "7.cell.lock").symlink_to(tmp_path / "mine")
@@ -104,7 +104,7 @@ def test_a_link_that_somebody_laid_out_is_not_followed(tmp_path) -> None:
     assert not (tmp_path / "mine").exists()
 
 
-def test_no_variable_moves_the_locks(monkeypatch) -> None:
+def test_environment_variables_do_not_move_the_locks(monkeypatch) -> None:
     before = files.lock_directory()
     for name in ("TMPDIR", "HOME", "XDG_RUNTIME_DIR"):
         monkeypatch.setenv(name, "/nowhere")
@@ -113,7 +113,7 @@ def test_no_variable_moves_the_locks(monkeypatch) -> None:
     assert before.stat().st_mode & 0o077 == 0
 
 
-def test_what_another_user_could_change_is_passed_over(tmp_path, monkeypatch) -> None:
+def test_a_directory_that_another_user_could_change_is_skipped(tmp_path, monkeypatch) -> None:
     """If an open directory or a link has the name, the next candidate is used, or the error names the cause."""
     name = files.lock_directory().name
     parents = [tmp_path / parent for parent in ("open", "link", "absent", "good")]

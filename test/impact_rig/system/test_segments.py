@@ -29,7 +29,7 @@ def word(path: Path) -> int:
 
 
 @pytest.mark.parametrize("library", ["fastrtps", "fastdds"])
-def test_what_is_half_made_at_two_looks_is_marked_and_nothing_else(tmp_path: Path, library: str) -> None:
+def test_only_a_segment_unfinished_at_two_checks_is_marked(tmp_path: Path, library: str) -> None:
     contents = {
         "port1": b"",
         "port2": bytes(64),
@@ -68,7 +68,7 @@ def test_the_watch_ends_with_its_context(tmp_path: Path) -> None:
 
 @pytest.mark.ros
 @pytest.mark.pipeline
-def test_a_rig_begins_where_a_killed_process_was_about_to_listen(tmp_path: Path) -> None:
+def test_a_rig_starts_on_the_ports_of_a_process_killed_during_its_start(tmp_path: Path) -> None:
     """Leave the ports of the first participants of a domain as a killed process does, with no older process."""
     pytest.importorskip("rclpy")
     from impact_rig.client import Client, Processes, isolated_domain

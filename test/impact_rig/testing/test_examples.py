@@ -44,7 +44,7 @@ def test_every_example_passes(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()), "only failures leave runs"
 
 
-def test_they_are_collected_in_a_checkout() -> None:
+def test_pytest_collects_the_examples_in_a_checkout() -> None:
     """Run `pytest examples` with the configuration of this repository, and nothing of it on the path."""
     command = [sys.executable, "-P", "-m", "pytest", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
     command += ["-q", "--collect-only", "examples"]
@@ -56,7 +56,7 @@ def test_they_are_collected_in_a_checkout() -> None:
 @pytest.mark.parametrize(
     ("page", "name"), [("tutorials/first_node", "first_node.py"), ("how-to/drive", "velocity_feedback.py")]
 )
-def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> None:
+def test_the_nodes_of_the_pages_are_the_tested_ones(page: str, name: str) -> None:
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     (block,) = re.findall(rf"^```python title=examples/{name}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     notice, file = re.split("^(?!#)", (EXAMPLES / name).read_text(encoding="utf-8"), maxsplit=1, flags=re.M)
@@ -64,7 +64,7 @@ def test_a_node_of_the_docs_is_the_one_that_is_tested(page: str, name: str) -> N
     assert block == file
 
 
-def test_the_pipelines_are_somebody_elses() -> None:
+def test_example_pipelines_do_not_import_this_package() -> None:
     """Pipelines under test know topics and messages, not this package; only the analysis of a file may import it."""
     for path in EXAMPLES.glob("*.py"):
         ours = re.findall(r"^[ ]*(?:from|import) impact_rig\S*", path.read_text(), re.MULTILINE)
@@ -72,7 +72,7 @@ def test_the_pipelines_are_somebody_elses() -> None:
             assert ours == (["from impact_rig.recording"] if path.name == "analyse_run.py" else []), path.name
 
 
-def test_what_is_installed_with_them_is_all_of_them() -> None:
+def test_all_files_of_the_examples_are_installed() -> None:
     listed = re.search(r"^EXAMPLES = \[(.*?)^\]", (ROOT / "setup.py").read_text(), re.MULTILINE | re.DOTALL)
     assert listed is not None
     files = [path for suffix in ("py", "md", "json") for path in EXAMPLES.rglob(f"*.{suffix}")]

@@ -64,7 +64,7 @@ def says(output: str, line: str) -> bool:
     return (f"{before}{colon}" in output and path in output) if colon else core in output
 
 
-def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
+def test_every_block_of_the_guide_works_as_written(tmp_path: Path) -> None:
     output, output_of_schedules, commands = "", "", 0
     for language, info, content in blocks():
         if language == "python" and info.startswith("title="):
@@ -89,7 +89,7 @@ def test_every_block_of_the_guide_does_what_it_says(tmp_path: Path) -> None:
     assert "measured: daq/scan 0.000000000" in (scheduled / "callbacks.txt").read_text()
 
 
-def test_the_commands_that_install_name_what_setup_py_has() -> None:
+def test_the_installation_commands_name_existing_extras() -> None:
     (install,) = (content for language, _, content in blocks() if language == "sh" and "pip install" in content)
     (extras,) = re.findall(r"impact_rig\[(.+?)\]", install)
     assert extras == "wheels,strategies"

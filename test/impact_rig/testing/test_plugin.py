@@ -33,7 +33,7 @@ from impact_rig.testing import LocalRig, plugin
 ROOT = Path(__file__).parents[3]
 
 
-def test_loading_it_loads_neither_ros_nor_compiled_code() -> None:
+def test_loading_the_plugin_loads_neither_ros_nor_compiled_code() -> None:
     """It is loaded in every pytest run of every environment that has this package."""
     code = "import impact_rig.testing.plugin, sys; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -42,7 +42,7 @@ def test_loading_it_loads_neither_ros_nor_compiled_code() -> None:
     assert loaded.isdisjoint({"rclpy", "numba", "numpy", "scipy", "matplotlib"})
 
 
-def test_setup_py_registers_it_under_its_own_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_setup_py_registers_the_plugin_under_the_name_of_its_module(monkeypatch: pytest.MonkeyPatch) -> None:
     """With any other name, a pytest with `-p` for the module would load it twice and fail."""
     found: dict[str, Any] = {}
     monkeypatch.setattr("setuptools.setup", lambda **kwargs: found.update(kwargs))
@@ -53,14 +53,14 @@ def test_setup_py_registers_it_under_its_own_name(monkeypatch: pytest.MonkeyPatc
     assert any(requirement.startswith("pytest") for requirement in found["extras_require"]["wheels"])
 
 
-def test_everything_the_package_offers_can_be_had() -> None:
+def test_all_public_names_of_the_package_can_be_imported() -> None:
     testing = importlib.import_module("impact_rig.testing")
     assert [name for name in testing.__all__ if getattr(testing, name).__name__ != name] == []
     with pytest.raises(AttributeError, match="no attribute 'Rug'"):
         _ = testing.Rug
 
 
-def test_no_two_rigs_of_a_test_have_one_name(request: pytest.FixtureRequest) -> None:
+def test_the_rigs_of_a_test_have_different_names(request: pytest.FixtureRequest) -> None:
     """They have a folder each; after one was closed, the next one must not have the name of one that still exists."""
     started = plugin._starting(request, lambda name: LocalRig(name=name))
     start = next(started)
@@ -124,7 +124,7 @@ def test_all_rigs_are_as_new(rig):
         ("virtual_rig", {}, "module", 4, 2),  # a new one takes milliseconds
     ],
 )
-def test_a_rig_of_a_module_or_session_is_as_new_in_each_test(
+def test_a_rig_of_a_module_or_session_is_reset_for_each_test(
     tmp_path: Path, fixture: str, options: dict[str, Any], scope: str, different: int, failed: int
 ) -> None:
     text = SHARED.replace("FIXTURE", fixture).replace("SCOPE", scope).replace("OPTIONS", repr(options))
@@ -171,7 +171,7 @@ def test_skipped(): pass
 """
 
 
-def test_requirements_are_in_the_junit_file_of_every_test(tmp_path: Path) -> None:
+def test_the_junit_file_lists_the_requirements_of_every_test(tmp_path: Path) -> None:
     (tmp_path / "test_marked.py").write_text(MARKED)
     words = [
         sys.executable,

@@ -97,7 +97,7 @@ def played(actions: list[Any], make_node: Any = Observer, **kwargs: Any) -> list
         return [message.data for message in out.messages]
 
 
-def test_without_disturbance_messages_come_before_the_timers_of_their_instant() -> None:
+def test_undisturbed_messages_are_delivered_before_the_timers_of_their_instant() -> None:
     assert played([]) == [1, 2, 0, 3]
 
 
@@ -116,11 +116,11 @@ def test_without_disturbance_messages_come_before_the_timers_of_their_instant() 
         ([Call("~/say"), Send("hurry", True, after=1)], [-1, 1, 2, -2, 0, 3, 4, 0, 5]),
     ],
 )  # fmt: skip
-def test_each_action_changes_the_order_as_it_says(actions: list[Any], expected: list[float]) -> None:
+def test_each_action_changes_the_order_as_described(actions: list[Any], expected: list[float]) -> None:
     assert played(actions) == expected
 
 
-def test_what_quality_of_service_allows_to_drop_is_dropped() -> None:
+def test_messages_that_the_quality_of_service_may_drop_are_dropped() -> None:
     assert played([Drop("daq/scan", 2), Pause()], reliability=LOSSY) == [0, 3, 4, 0, 5, 6, 0]
     assert played([Burst(5)], depth=2) == [4, 5, 0, 6, 0, 7, 8, 0]
 
@@ -181,7 +181,7 @@ def test_the_transport_delivers_what_the_middleware_delivers() -> None:
     assert {len(found) for found in expected.values()} == {0, 2, 4, 12, 14, 15}
 
 
-def test_a_node_gives_the_same_answers_as_behind_the_middleware(ros_rig: Any) -> None:
+def test_a_node_answers_as_it_does_behind_the_middleware(ros_rig: Any) -> None:
     """Compare the answers to 50 blocks, to a command and to a change of a parameter, without those of the timer."""
     found = []
     with LocalRigWithNodes(QUICK) as local:
@@ -197,7 +197,7 @@ def test_a_node_gives_the_same_answers_as_behind_the_middleware(ros_rig: Any) ->
     assert len(found[0]) == 50
 
 
-def test_the_rig_gives_all_its_topics_and_follows_commands() -> None:
+def test_the_rig_publishes_all_its_topics_and_follows_commands() -> None:
     """Monitors, truth and the clock arrive; a published command acts."""
 
     class Reader(Node):
@@ -267,7 +267,7 @@ def test_a_callback_that_waits_for_another_is_named(how: str) -> None:
             rig.step(3)
 
 
-def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
+def test_a_coroutine_that_awaits_nothing_runs_like_any_callback() -> None:
     with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Waiting, how="later")
         rig.step(3)
@@ -275,7 +275,7 @@ def test_a_coroutine_that_awaits_nothing_runs_as_any_callback() -> None:
 
 
 @pytest.mark.parametrize("how", ["sleep", "clock"])
-def test_what_a_callback_sleeps_is_rig_time(how: str) -> None:
+def test_the_sleep_of_a_callback_takes_rig_time(how: str) -> None:
     """Each callback sleeps for 35 ms, so that one of four blocks is processed and the queue of 4 overflows."""
     begin = time.monotonic()
     with LocalRigWithNodes(QUICK) as rig:
@@ -286,7 +286,7 @@ def test_what_a_callback_sleeps_is_rig_time(how: str) -> None:
     assert time.monotonic() - begin < 3.0  # 3.5 s by wall time
 
 
-def test_timers_by_wall_time_are_refused() -> None:
+def test_timers_on_wall_time_are_rejected() -> None:
     class Steady(Node):
         def __init__(self) -> None:
             super().__init__("steady")
@@ -301,7 +301,7 @@ def test_an_action_on_the_transport_needs_a_rig_with_nodes() -> None:
         repeat(rig, lambda _: None, [Burst(2)])
 
 
-def test_the_run_of_a_reset_rig_is_sound(tmp_path: Path) -> None:
+def test_the_recorded_run_of_a_reset_rig_is_valid(tmp_path: Path) -> None:
     with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Observer)
         repeat(rig, lambda _: None, [Command(9.1, 0.5), Pause(20), Reset(after=1), Pause(5), Command(9.3, 0.4)])

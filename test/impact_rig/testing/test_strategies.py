@@ -57,7 +57,7 @@ def off_by_one(rig):
     return losses.matches
 
 
-def test_an_off_by_one_is_found_shrunk_and_repeated_by_three_lines(virtual_rig):
+def test_an_off_by_one_error_is_found_shrunk_and_repeated_by_three_lines(virtual_rig):
     begin = time.process_time()
     with pytest.raises(AssertionError) as failure:
         search(virtual_rig, off_by_one, QUICK)
@@ -73,11 +73,11 @@ def test_an_off_by_one_is_found_shrunk_and_repeated_by_three_lines(virtual_rig):
     exec(program, {"virtual_rig": virtual_rig, "off_by_one": sound})  # the bug is the consumer's
 
 
-def test_a_sound_consumer_is_left_in_peace(virtual_rig):
+def test_a_correct_consumer_causes_no_failure(virtual_rig):
     search(virtual_rig, sound, QUICK, examples=40)
 
 
-def test_every_action_does_what_it_says():
+def test_every_action_has_its_described_effect():
     rig = LocalRig(QUICK)
     repeat(
         rig, lambda _: None,
@@ -90,7 +90,7 @@ def test_every_action_does_what_it_says():
 
 
 @pytest.mark.ros
-def test_a_rig_on_ros_takes_the_same_scenario(ros_rig):
+def test_a_rig_on_ros_runs_the_same_scenario(ros_rig):
     rig = ros_rig(QUICK, hosted=True)
     repeat(rig, lambda _: None, [Command(9.1, 0.5), Pause(5), Silence(10), Inject("lost_block", blocks=2)])
     kinds = {entry.kind.value for entry in rig.journal()}
