@@ -133,7 +133,8 @@ def leading(
     """Return the columns `time`, `timestamp` and `earlier` of rows, shape (n,) each.
 
     `stamps` are the stamps of the messages of the rows [ns], `since` the times of the rows after them [s], `earlier`
-    the column of this name. `time` counts from `origin_ns`, or from the first stamp if that is None.
+    the column of this name. `time` counts from `origin_ns`, or from the first stamp if that is None. `timestamp` is NaT
+    where `since` is not finite or larger than any duration of a rig.
     """
     known = np.abs(since) <= LONGEST_S
     own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)

@@ -108,7 +108,7 @@ class TopicDescription:
     schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the offered QoS profiles for `metadata.yaml`; none if `offered_qos_text` is not a plain YAML list."""
+        """Return the offered QoS profiles for `metadata.yaml`; empty if `offered_qos_text` is not a plain YAML list."""
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
@@ -248,13 +248,16 @@ def starts_with_header(type_name: str, schema: str) -> bool:
 
 
 def members(schema: str) -> list[tuple[str, str, int]]:
-    """Return path, primitive type and count of each member of a message type, in order; -1: a sequence of any length.
+    """Return path (`header.stamp.sec`), primitive type and count of each member of a message type, in order.
+
+    The count is 1 for a single value, n for an array of n, and -1 for a sequence, with or without a bound.
 
     Args:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text, an array contains messages, or there are too many members.
+        RecordingError: a type is not defined in the text, an array contains messages, or a member lies too deep or
+            behind too many others.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {
@@ -269,10 +272,11 @@ def members(schema: str) -> list[tuple[str, str, int]]:
                 found.append((path + member, name, count))
             else:
                 inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
-                if inner is None or count != 1 or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
+                why = "it is an array of messages" if count != 1 else "" if inner else "the schema lacks its type"
+                if inner is None or why or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
+                    why = why or f"it is more than {_MAX_DEPTH} types deep, or follows more than {_MAX_TYPES} members"
                     raise RecordingError(
-                        f"cannot read messages with the member {path + member} of type {name}{length}: its type is not "
-                        "defined, or it is an array of messages"
+                        f"cannot read messages with the member {path + member} of type {name}{length}: {why}"
                     )
                 walk(inner, f"{path}{member}.", depth + 1)
 
@@ -296,8 +300,10 @@ def _read(package: str, kind: str, prefixes: Sequence[Path], wanted_by: str) -> 
             continue
     if (text := _bundled().get(f"{package}/{kind}")) is not None:
         return text
-    looked = ", ".join(str(prefix / "share") for prefix in prefixes) or "nowhere: no prefix is known"
-    raise RecordingError(f"{wanted_by} is not installed: no {package}/msg/{kind}.msg in {looked}")
+    looked = ", ".join(str(prefix / "share") for prefix in prefixes)
+    raise RecordingError(
+        f"{wanted_by} is not installed: no {package}/msg/{kind}.msg in {looked}; source the ROS 2 workspace that has it"
+    )
 
 
 def _used_types(text: str, package: str) -> set[str]:
@@ -315,10 +321,10 @@ Information = dict[str, object]
 
 
 @attrs.define
-class FileSpan:
-    """Extent of the messages in one file, or in all: their number, and the first and last log time [ns]."""
+class Extent:
+    """Extent of some messages, such as those of a file or topic: number, and earliest and latest log time [ns]."""
 
-    path: str
+    name: str = ""
     count: int = 0
     start_ns: int = INFINITE_NS
     end_ns: int = 0
@@ -336,7 +342,7 @@ class FileSpan:
 
 
 def bag_information(
-    topics: Sequence[tuple[TopicDescription, int]], spans: Sequence[FileSpan], *, ros_distro: str
+    topics: Sequence[tuple[TopicDescription, int]], spans: Sequence[Extent], *, ros_distro: str
 ) -> Information:
     """Return the content of `metadata.yaml`: the twelve keys under `rosbag2_bagfile_information`.
 
@@ -346,7 +352,7 @@ def bag_information(
         ros_distro: name of the distribution, such as `jazzy`.
     """
     start_ns, end_ns = min(span.start_ns for span in spans), max(span.end_ns for span in spans)
-    total = FileSpan("", sum(span.count for span in spans), start_ns, end_ns)
+    total = Extent("", sum(span.count for span in spans), start_ns, end_ns)
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
@@ -368,10 +374,10 @@ def bag_information(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [span.path for span in spans],
+        "relative_file_paths": [span.name for span in spans],
         "files": [
             {
-                "path": span.path,
+                "path": span.name,
                 "starting_time": {"nanoseconds_since_epoch": span.start_ns},
                 "duration": {"nanoseconds": span.duration_ns},
                 "message_count": span.count,
@@ -435,7 +441,7 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Provenance | None:
-        """Return the provenance in a metadata record `impact_rig` with this content; None if a part is missing."""
+        """Return the provenance in the content of a metadata record `impact_rig`; None if a part is missing or bad."""
         extra = dict(record)
         try:
             version, seed, start = extra.pop("version"), int(extra.pop("seed")), int(extra.pop("wall_start_ns"))
@@ -446,8 +452,9 @@ class Provenance:
 
 
 def arithmetic_of(record: Mapping[str, str]) -> str:
-    """Return the version of the arithmetic from the provenance record of a run; empty for files of other recorders.
+    """Return the version of the arithmetic from the provenance record of a run: `1` if the record does not state it.
 
+    It is empty for files of other recorders, which have no such record.
     Only the same version reproduces the samples bit for bit.
     """
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""

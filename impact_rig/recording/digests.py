@@ -46,7 +46,7 @@ class Digests:
         self._metadata = _new()
 
     def add_topic(self, channel: Channel, schema: Schema | None) -> None:
-        """Start the digest of a topic with its definition."""
+        """Start the digest of a topic with its definition; messages of its channel are ignored before this call."""
         digest = _new()
         _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
         if schema is not None:
@@ -56,7 +56,7 @@ class Digests:
     def add_message(
         self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes | memoryview
     ) -> None:
-        """Add a message to the digest of its topic, in file order; messages of an unknown channel are ignored."""
+        """Add a message to the digest of its topic, in file order; it is ignored if `add_topic` has not been called."""
         if channel not in self._topics:
             return
         digest = self._topics[channel][1]
@@ -91,7 +91,7 @@ class Digests:
             if key not in found:
                 yield f"the file no longer lists {name}, which was recorded: it was removed after the recording"
             elif key not in recorded:
-                yield f"{name} was not recorded by the recorder of this file"
+                yield f"{name} is not in the digests of the recorder: it was added after the recording"
             elif found[key] != recorded[key]:
                 what = "messages or its definition" if key.startswith(_TOPIC) else "content"
                 yield f"{name}: its digest does not match, so its {what} changed after the recording"

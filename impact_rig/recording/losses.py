@@ -107,7 +107,7 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the names of all publishers of a topic, as far as known; empty if only one has sent messages."""
+        """Return the names of all publishers of a topic, as far as known; empty if only one, or none, sent messages."""
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
@@ -169,8 +169,8 @@ class Gap:
     """Gap between two successive recorded blocks of scans."""
 
     block: int  # number of the block after the gap, counted from 0
-    expected_ns: int
-    stamp_ns: int
+    expected_ns: int  # stamp of the first missing scan, which the block should have
+    stamp_ns: int  # stamp that it has; for scans missing before a reset, the time of scan 0 after the reset
     missing_scans: int
     """Number of scans that are missing between the two blocks.
 
@@ -204,7 +204,7 @@ def check_contiguity(
     starts: Iterable[int] = (),
     resets: Iterable[int] = (),
 ) -> Contiguity:
-    """Find the gaps between blocks of scans, by their stamps and lengths.
+    """Find the gaps between blocks of scans, by their stamps and lengths; scans before the first block are no gap.
 
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
@@ -214,8 +214,8 @@ def check_contiguity(
             a whole number of nanoseconds, a stamp may then differ by one nanosecond.
         starts: rig times of scan 0 of further rigs [ns]: nothing is missing between the last block of one rig and the
             first block of the next.
-        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block: fewer than
-            a block and a tick of commands.
+        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block, so fewer
+            missing scans before it than in a block and a tick of commands are no gap.
     """
     over, under = rate_hz.as_integer_ratio()
     period_exact = NS_PER_S * under % over == 0
@@ -265,7 +265,7 @@ def has_times(table: Table) -> bool:
 
 
 def last_scan_ns(table: Table) -> int:
-    """Return the stamp of the last scan of a block [ns]; that of the block itself if it has no valid column `time`."""
+    """Return the stamp of the last scan of a block [ns]; that of the block if it has no rows or valid column `time`."""
     if not len(table.rows) or not has_times(table):
         return table.stamp_ns
     last_s = float(table.rows["time"][-1])
@@ -273,7 +273,10 @@ def last_scan_ns(table: Table) -> int:
 
 
 def scan_rate_hz(table: Table) -> float | None:
-    """Return the scan rate of a block [Hz] from its column `time`, an int if whole; None with fewer than two scans."""
+    """Return the scan rate of a block [Hz] from its first and last `time`: an int if whole to 1e-6; None if unknown.
+
+    It is unknown with fewer than two scans, without a column `time`, or if the last time is not after the first.
+    """
     if not has_times(table) or len(table.rows) < 2:
         return None
     times = table.rows["time"].astype(np.float64)

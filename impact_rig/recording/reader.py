@@ -182,7 +182,7 @@ class Run:
 
     @property
     def message_count(self) -> int:
-        """Number of messages in all files."""
+        """Number of messages on all topics, in all files."""
         return sum(source.statistics.message_count for source in self.sources)
 
     @property
@@ -200,7 +200,7 @@ class Run:
         """Provenance of the run (version, seed, wall_start_ns, …); empty for files of other recorders.
 
         Raises:
-            RecordingError: the record is damaged.
+            RecordingError: the record has no checksum, or does not match it.
         """
         return self.record(RECORD_NAME)
 
@@ -243,12 +243,14 @@ class Run:
 
     @property
     def rigs(self) -> tuple[str, ...]:
-        """Namespaces of the rigs in this recording."""
+        """Namespaces of the rigs in this recording, such as `/rig`; empty if it contains no topic of a rig."""
         return tuple(map(rigs.namespace, self.prefixes))
 
     @property
     def prefix(self) -> str:
         """Prefix of the topics of the rig that relative names refer to: its namespace and a slash, such as `/rig/`.
+
+        It is `/` if the recording contains no rig.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -259,7 +261,8 @@ class Run:
         """Return the full name of a topic, recorded or not.
 
         Args:
-            wanted: a topic or its name; a relative name is completed with the rig's namespace.
+            wanted: a topic or its name; a relative name is completed with the rig's namespace. A recorded name without
+                a slash is returned unchanged, unless the completed name was recorded as well.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -323,7 +326,9 @@ class Run:
             bytes.
 
         Raises:
-            RecordingError: a topic is missing, or a chunk is damaged (messages yielded before are valid).
+            RecordingError: a topic is missing (raised by the call itself), or a chunk is damaged (raised when it is
+                read; messages yielded before are valid).
+            ImpactRigError: the recording exceeds a limit of reading.
         """
         names = None if topics is None else frozenset(self.resolve(topic) for topic in topics)
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
@@ -351,7 +356,8 @@ class Run:
             Tables; of `daq/scan`, one per block.
 
         Raises:
-            RecordingError: the topic is missing, carries no tables, or is damaged; or a table does not match the topic.
+            RecordingError: the topic is missing or carries no tables (raised by the call itself); or a chunk is
+                damaged, or a table does not match the topic (raised when it is read).
         """
         known = None if isinstance(topic, str) else topic
         name = self._table_topic(topic)
@@ -399,9 +405,9 @@ class Run:
             topic: name of the topic, such as `daq/scan`.
 
         Returns:
-            One row per row of the tables, with their columns in SI units. Three columns precede them: `time` [s] since
-            the first scan of the recording, `timestamp`, the same time as a date, and `earlier`, 1 for messages that
-            were published before the recording began.
+            One row per row of the tables, with their columns in SI units. Three columns precede them: `time` [s],
+            `timestamp`, the same time as a date, and `earlier`, 1 for messages that were published before the recording
+            began. `time` counts from the first scan of the recording, without scans from the first message.
 
         Raises:
             RecordingError: as for `tables`; or the topic holds no message or changes its columns.
@@ -569,10 +575,15 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
 
 def run_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a run in the order of writing.
+    """Return the MCAP files of a run: those that `metadata.yaml` lists, else all, by the numbers in their names.
+
+    A directory without MCAP files gives its SQLite or compressed files; to open one raises an error that says how to
+    convert it. If `path` is a file, it is the only one.
 
     Raises:
-        RecordingError: the run has no MCAP file, or one that `metadata.yaml` lists is missing.
+        RecordingError: `path` does not exist or contains no such file, `metadata.yaml` cannot be read, or a file that
+            it lists is missing.
+        BudgetError: `metadata.yaml` is too large.
     """
     if path.is_file():
         return [path]
@@ -620,7 +631,10 @@ def _listed_files(directory: Path) -> list[str]:
         return []
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
+        where = f"{description.METADATA_KEY}: relative_file_paths"
+        raise RecordingError(f"cannot parse {path}: it has no list {where}") from error
+    except ValueError as error:
         raise RecordingError(f"cannot parse {path}: {error}") from error
 
 
@@ -686,12 +700,9 @@ class McapSource:
             if being_written:
                 raise RecordingError(f"{path}: {_BEING_WRITTEN}") from error
             raise DamageError(f"{path}: {error}; {_REMEDY}") from error
-        except ForeignBagError as error:
+        except (ForeignBagError, BudgetError) as error:
             self.close()
-            raise ForeignBagError(f"{path}: {error}") from error
-        except BudgetError as error:
-            self.close()
-            raise BudgetError(f"{path}: {error}") from error
+            raise type(error)(f"{path}: {error}") from error
         except OSError as error:
             self.close()
             raise RecordingError(f"cannot read {path}: {error.strerror}") from error
@@ -741,7 +752,8 @@ class McapSource:
             opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
             end = position + records.RECORD_HEAD.size + length
             if end > self.size:
-                raise DamageError(f"the record at byte {position} states {length} bytes, the file has only {self.size}")
+                left = self.size - position - records.RECORD_HEAD.size
+                raise DamageError(f"the record at byte {position} states {length} bytes, only {left} are left")
             if times and (opcode == records.DATA_END or end - begun > SEGMENT_BYTES):
                 size = ended - begun
                 yield Segment(begun, size, min(times), max(times), size, frozenset(channels), chunk=None)
@@ -761,7 +773,7 @@ class McapSource:
         """Return the records of a segment, decompressed, and checked if they carry a checksum.
 
         Raises:
-            RecordingError: the segment is damaged.
+            RecordingError: the segment is damaged or cannot be read.
         """
         if segment.chunk is None:
             with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
@@ -828,7 +840,7 @@ class McapSource:
         return self._fd
 
     def crc(self, segment: Segment) -> int:
-        """Return the checksum that the head of a chunk states for its content; 0 means none.
+        """Return the checksum that the head of a chunk states for its content; 0 means none, or a truncated head.
 
         Raises:
             RecordingError: the chunk cannot be read.
@@ -839,11 +851,7 @@ class McapSource:
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
     def data_end(self) -> int:
-        """Return the offset of the record that ends the data section.
-
-        Raises:
-            DamageError: this record is not directly before the summary.
-        """
+        """Return the offset at which the record that ends the data section must be: directly before the summary."""
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
         _, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
@@ -853,7 +861,9 @@ class McapSource:
         """Return the content of the record with this opcode at an offset of the file.
 
         Raises:
-            DamageError: there is no record of this kind at the offset.
+            RecordingError: there is no complete record of this kind at the offset (a DamageError), or the file cannot
+                be read.
+            BudgetError: the record is larger than any that may be read.
         """
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             head = os.pread(self._fd, records.RECORD_HEAD.size, offset)
@@ -870,7 +880,7 @@ class McapSource:
 
     def _read_record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
-            raise DamageError(f"its length is stated as {length} bytes, the file has only {self.size}")
+            raise DamageError(f"its length is stated as {length} bytes, only {self.size - offset} are left in the file")
         budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
         # a bad sector, or the file has been closed
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
@@ -914,7 +924,7 @@ def read_summary(fd: int, size: int) -> Summary:
         raise DamageError("it does not begin like an MCAP file")
     tail = os.pread(fd, tail_bytes, max(0, size - tail_bytes))
     if size < magic + tail_bytes or not tail.endswith(records.MAGIC):
-        raise DamageError("it is not finished: its writer was interrupted")
+        raise DamageError("its end is missing: its recorder was interrupted, or the copy is incomplete")
     opcode, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
     if opcode != records.FOOTER:
         raise DamageError("its footer is damaged")
@@ -937,9 +947,8 @@ def parse_summary(section: memoryview) -> Summary:
     """Parse the summary section of an MCAP file: its schemas, channels, indexes and statistics.
 
     Raises:
-        DamageError: the section is not a sequence of records, has no statistics, lists another number of chunks or
-        fewer
-            topics than they count, or lists a chunk twice.
+        DamageError: the section is not a sequence of records, has no statistics, lists another number of chunks, fewer
+            topics or fewer message definitions than they count, or lists a chunk twice.
     """
     found = Summary()
     offset = 0

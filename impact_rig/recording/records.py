@@ -46,7 +46,7 @@ Bytes = bytes | memoryview
 
 
 class DamageError(RecordingError):
-    """Damage to a recording: its bytes are not the record that they should be."""
+    """Error of a damaged recording: a record is truncated or malformed, or does not match its checksum or index."""
 
 
 class UncheckedError(DamageError):
@@ -54,13 +54,17 @@ class UncheckedError(DamageError):
 
 
 class RawMessage(NamedTuple):
-    """Message as it is stored in a chunk; times in ns, `data` is a view of the chunk."""
+    """Message as it is stored in a chunk; times in ns, `data` is a view of the chunk.
+
+    `offset` is the place of its record in the decompressed chunk [bytes], as a message index states it.
+    """
 
     channel_id: int
     sequence: int
     log_time: int
     publish_time: int
     data: memoryview
+    offset: int
 
 
 class _Strict(ReadDataStream):
@@ -87,10 +91,12 @@ Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Parse the content of a record, without its head, as a record of a class of `mcap.records`; its data are views.
+    """Parse the content of a record, without its head, as a record of a class of `mcap.records`.
+
+    Binary fields of the result are views of `content`, not copies.
 
     Raises:
-        DamageError: the record is invalid, or longer than its content.
+        DamageError: a field does not fit into the content, a string is not UTF-8, or bytes follow the last field.
     """
     stream = _Strict(content)
     try:
@@ -112,7 +118,7 @@ def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int
     """Return opcode, content and end offset of the MCAP record at `offset` of `view`.
 
     Raises:
-        DamageError: the record ends after `end` (default: the end of `view`).
+        DamageError: the record, or its head of 9 bytes, ends after the offset `end` (default: the end of `view`).
     """
     stop = len(view) if end is None else end
     if offset + RECORD_HEAD.size > stop:
@@ -131,7 +137,8 @@ def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryvi
     `need_crc`.
 
     Raises:
-        DamageError: size or checksum differ, or the data cannot be decompressed.
+        DamageError: size or checksum differ, the compression is unknown, or the data cannot be decompressed.
+        UncheckedError: `need_crc`, and the chunk has no checksum.
     """
     size = chunk.uncompressed_size
     if chunk.compression not in _DECOMPRESS:
@@ -154,7 +161,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
     """Return the CDR bytes of a message; decompress them if the recorder compressed each message with zstd.
 
     Args:
-        data: message in CDR, or a zstd frame that contains one.
+        data: message in CDR, which is returned unchanged, or a zstd frame that contains one.
         most: largest decompressed size [bytes]; a message that is not compressed is not limited.
 
     Raises:
@@ -188,29 +195,12 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
             if length < skip or end > stop:
                 raise DamageError(f"a message record of {length} bytes does not fit into its chunk")
             if wanted is None or channel_id in wanted:
-                yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end])
+                yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end], offset)
             offset = end
         else:
-            _, _, offset = split(records, offset)
-
-
-def positions(records: memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield channel id, log time [ns] and offset of each message in the decompressed content of a chunk.
-
-    A message index contains the same figures.
-
-    Raises:
-        DamageError: the content is not a sequence of records.
-    """
-    offset = 0
-    while offset < len(records):
-        opcode, content, end = split(records, offset)
-        if opcode == MESSAGE:
-            if len(content) < MESSAGE_HEAD.size - RECORD_HEAD.size:
-                raise DamageError(f"the message at byte {offset} of a chunk is too short")
-            _, _, channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(records, offset)
-            yield channel_id, log_time, offset
-        offset = end
+            opcode, content, offset = split(records, offset)
+            if opcode == MESSAGE:
+                raise DamageError(f"a message record of {len(content)} bytes is too short")
 
 
 def count(records: memoryview, most: int) -> int:

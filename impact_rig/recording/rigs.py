@@ -30,7 +30,10 @@ _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswit
 
 
 def prefix_of(name: str, topic: topics.Topic) -> str | None:
-    """Return the part of a full name before the relative name of a topic: `/rig/` of `/rig/daq/scan`; else None."""
+    """Return the part of a full name before the relative name of `topic`: `/rig/` of `/rig/daq/scan`.
+
+    It is empty if nothing precedes the relative name, and None if `name` is not a name of this topic.
+    """
     if name == topic.name:
         return ""
     return name.removesuffix(topic.name) if name.endswith(f"/{topic.name}") else None
@@ -39,11 +42,11 @@ def prefix_of(name: str, topic: topics.Topic) -> str | None:
 def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
     """Return the topic prefix of each rig, such as `/rig/`, in alphabetical order.
 
-    Each rig publishes `daq/scan`, so the topics of this name show the rigs. In a recording without any, each known
-    topic indicates a rig, by the longest relative name that fits.
+    Each rig publishes `daq/scan`, so the topics of this name show the rigs. If some of them carry tables, only those
+    count. In a recording without any, each known topic indicates a rig, by the longest relative name that fits.
 
     Args:
-        types: type of each recorded topic, by name.
+        types: type of each recorded topic, by full name.
     """
     scans = {name: prefix for name in types if (prefix := prefix_of(name, topics.SCAN)) is not None}
     tables = {prefix for name, prefix in scans.items() if types[name] == topics.TABLE}
@@ -63,11 +66,11 @@ def namespace(prefix: str) -> str:
 
 
 def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
-    """Return the topic prefix of the requested rig of a recording, such as `/rig/`; `/` if there is no rig.
+    """Return the topic prefix of the requested rig of a recording, such as `/rig/`.
 
     Args:
         known: prefixes of the rigs in a recording.
-        wanted: namespace, with or without slashes around it; None means the only rig.
+        wanted: namespace, with or without slashes around it; None means the only rig, and `/` if there is no rig.
         where: recording, for the error.
 
     Raises:
@@ -81,5 +84,7 @@ def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
             raise RecordingError(f"no rig {wanted!r} in {where}; there are: {names}")
         return chosen[0]
     if len(found) > 1:
-        raise RecordingError(f"{where} holds several rigs: {names}; choose one with {RIG_OPTION} NAMESPACE")
+        raise RecordingError(
+            f"{where} holds several rigs: {names}; choose one with {RIG_OPTION} NAMESPACE (in Python rig=NAMESPACE)"
+        )
     return found[0] if found else "/"

@@ -51,7 +51,7 @@ from impact_rig.recording.description import (
     RECORD_NAME,
     TOPIC_RECORD_NAME,
     Attachment,
-    FileSpan,
+    Extent,
     Provenance,
     TopicDescription,
     protect,
@@ -94,7 +94,8 @@ class RunWriter:
         provenance: content of the `impact_rig` metadata record of every file; None means no record.
         attachments: attachments of every file; see `attach`.
         account: account of received and lost messages; None means a new one that does not know the publishers.
-        closing: function that returns further metadata records by name; it is called when a file is finished.
+        closing: function that returns further metadata records by name; it is called when a file is finished, so of a
+            split run once per file.
         clock: monotonic wall clock [s]; decides when an open chunk is due.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
@@ -105,7 +106,8 @@ class RunWriter:
         ros_distro: name of the distribution for `metadata.yaml`.
 
     Raises:
-        RecordingError: the directory cannot be created, contains a recording, or its disk is full.
+        RecordingError: the directory cannot be created, belongs to another user or contains a recording. Or the
+            compression is unknown, or the disk is full.
     """
 
     def __init__(
@@ -139,7 +141,7 @@ class RunWriter:
         self._early: list[_Early] = []
         self._early_bytes = 0
         self._channels: dict[str, _Channel] = {}
-        self._spans: list[FileSpan] = []
+        self._spans: list[Extent] = []
         self._bytes_before = 0
         self._chunk_opened_s: float | None = None
         self._closed = False
@@ -167,7 +169,7 @@ class RunWriter:
     @property
     def files(self) -> list[Path]:
         """Paths of the MCAP files of the run, in the order of writing."""
-        return [self.directory / span.path for span in self._spans]
+        return [self.directory / span.name for span in self._spans]
 
     def add_topic(self, topic: TopicDescription) -> None:
         """Register a topic, at any time. If the topic is already registered with the same type, the call has no effect.
@@ -196,6 +198,8 @@ class RunWriter:
     ) -> None:
         """Record one message, with the rig time of its reception as its log time.
 
+        Messages before the first scan wait in memory, because the scan defines their log time.
+
         Args:
             topic_name: name of a registered topic.
             data: CDR bytes as received.
@@ -215,7 +219,7 @@ class RunWriter:
             scans = _block(data, table)
             if scans is not None:
                 log_time = self._clock_ns.begin_block(*scans)
-                self._write_early()
+                self._write_early(log_time)
                 self._write(channel, data, log_time, publish_time_ns, sequence, counted=True)
                 self._clock_ns.end_block()
                 return
@@ -233,27 +237,22 @@ class RunWriter:
         Their log time is the newest of their stamps; without stamps, each has its publish time.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
-        newest_ns = max(stamps, default=0)
-        for one in self._early:
-            self._clock_ns.go_on(newest_ns or one.publish_time_ns)
-            self._write_one(one)
-        self._early, self._early_bytes = [], 0
+        self._write_early(max(stamps, default=0) or None)
 
-    def _write_early(self) -> None:
-        """Write the messages that waited for the first scan, with the rig time of that scan as their log time."""
+    def _write_early(self, time_ns: int | None) -> None:
+        """Write the messages that wait for the first scan, with this log time; None: each has its publish time."""
         for one in self._early:
-            self._write_one(one)
+            now_ns = self._clock_ns.go_on(one.publish_time_ns if time_ns is None else time_ns)
+            self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
         self._early, self._early_bytes = [], 0
-
-    def _write_one(self, one: _Early) -> None:
-        now_ns = self._clock_ns.now_ns
-        assert now_ns is not None
-        self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a given log time [ns], without counting it in the account of losses.
 
-        The other arguments are those of `write`; the topic must be registered.
+        The other arguments are those of `write`; the topic must be registered. The message never waits for a scan.
+
+        Raises:
+            RecordingError: the run had to stop, now or earlier.
         """
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
@@ -285,7 +284,9 @@ class RunWriter:
                 self._flush_if_due()
 
     def secure(self) -> None:
-        """Write all accepted messages to the tail, so that they survive if this process is killed; needs `tail=True`.
+        """Write the messages of the open chunk to the tail, so that they survive if this process is killed.
+
+        Messages that wait for the first scan are not among them. Without `tail=True` the call has no effect.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -310,7 +311,8 @@ class RunWriter:
 
         Args:
             attachment: the file.
-            instead_of: name of the attachment that this one replaces in further files; of successive ones, the first.
+            instead_of: name of an earlier attachment, in whose place this one is stored in further files. If that one
+                has been replaced before, it is the name of the first one. Empty: of the one with the same name.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -357,7 +359,7 @@ class RunWriter:
         path = self.directory / f"{stem}.mcap"
         file = McapFile(path, compression=self._compression, chunk_bytes=self._chunk_bytes)
         self._file = file
-        self._spans.append(FileSpan(path.name))
+        self._spans.append(Extent(path.name))
         self._chunk_opened_s = None
         file.add_metadata(description.BAG_RECORD_NAME, description.bag_record(self._information()))
         if self._provenance is not None:
@@ -448,9 +450,10 @@ class RunWriter:
             raise RecordingError(f"the recording {self.directory} is finished, so it accepts no more messages")
 
     def stop(self, error: RecordingError) -> None:
-        """End the run because of `error`, which every later call raises again.
+        """End the run because of `error`, which every later call that would record something raises again.
 
-        MCAP files that are finished remain a readable run; the open one is closed without an index.
+        MCAP files that are finished remain a readable run; the open one is closed without an index. `finish` then has
+        no effect.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -503,9 +506,10 @@ class LogClock:
         self._end_ns = 0  # end of the block that is being logged
         self._offset_ns = 0  # offset from the stamps of a restarted rig to log times
 
-    def go_on(self, now_ns: int) -> None:
-        """Advance the log time to `now_ns`; an earlier time has no effect."""
+    def go_on(self, now_ns: int) -> int:
+        """Advance the log time to `now_ns`, and return it; an earlier time has no effect."""
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
+        return self.now_ns
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
         """Advance the log time to the first scan of a received block, and return it: the log time of the block.
@@ -569,7 +573,9 @@ def make_room(directory: Path) -> None:
         raise RecordingError(f"cannot create the run directory {directory}: {error.strerror}") from error
     for name in present:
         if name.endswith((".mcap", f".mcap{TAIL_SUFFIX}")) or name == description.METADATA_FILE:
-            raise RecordingError(f"{directory} holds a recording already ({name}); nothing is overwritten")
+            raise RecordingError(
+                f"{directory} holds a recording already ({name}); nothing is overwritten: choose another directory"
+            )
 
 
 SEQUENCE_MASK = 0xFFFFFFFF  # MCAP keeps the low 32 bits of a sequence number
@@ -618,7 +624,8 @@ class McapFile:
         chunked: whether messages and definitions go into chunks.
 
     Raises:
-        RecordingError: the file exists or cannot be created, or the limits leave no room for a single chunk.
+        RecordingError: the file exists or cannot be created, the compression is unknown, or disk and file size limit
+            leave no room for a single chunk.
     """
 
     def __init__(self, path: Path, *, compression: str, chunk_bytes: int, chunked: bool = True) -> None:
@@ -757,7 +764,7 @@ class McapFile:
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
         if limit != resource.RLIM_INFINITY and self.size + needed > limit:
-            return f"the file size limit of this process (RLIMIT_FSIZE, {limit} bytes) is reached"
+            return f"the next chunk does not fit into the file size limit of this process (RLIMIT_FSIZE, {limit} bytes)"
         space = os.fstatvfs(self._fd)
         free = space.f_bavail * space.f_frsize
         if free < needed + MIN_FREE_BYTES:

@@ -51,7 +51,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
     """Create the directory of the figures, and check before a long analysis that they can be written there.
 
     Raises:
-        RecordingError: the directory cannot be created or written to, or contains figures already.
+        RecordingError: the directory cannot be created or written to, or contains one of the figures already.
     """
     with files.translate_errors(f"cannot write figures to {directory}"):
         files.make_folder(directory)
@@ -71,7 +71,7 @@ def draw(
     `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
-        RecordingError: there are too few scans, or a file cannot be written.
+        RecordingError: the run has no calibration or too few scans, or a file exists or cannot be written.
     """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)

@@ -50,22 +50,22 @@ CURVE = "curve"
 
 
 def export(run: Run, topic: str, target: str | Path) -> Path:
-    """Export a table topic of a run to a file.
+    """Export a table topic, or the journal, of a run to a file.
 
     CSV and Parquet files are streamed; NPZ and UFF files are built in memory. Numbers in CSV files read back to the
     same bits. docs/reference/file_formats.md describes the columns.
 
     Args:
         run: an open run.
-        topic: name of a topic that carries tables, such as `daq/scan`.
+        topic: name of a topic that carries tables, such as `daq/scan`; or `rig/journal`, which gives a row per entry.
         target: new file; its suffix selects the format: .csv, .npz, .parquet or .uff.
 
     Returns:
         The path of the file.
 
     Raises:
-        RecordingError: the suffix is unknown, `target` exists or cannot be written, or the topic carries no tables or
-            changes its columns.
+        RecordingError: the suffix is unknown, or `target` exists or cannot be written. Or the topic was not recorded,
+            has no messages, carries no tables, changes its columns, or has nothing that a UFF file can hold.
         ImpactRigError: a library is missing: pyarrow for Parquet, pyuff for UFF.
 
     Examples:
@@ -84,7 +84,11 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 
 
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
-    """Write batches of columns to the new file `target`, in the format of its suffix, and return its path."""
+    """Write batches of columns to the new file `target`, in the format of its suffix, and return its path.
+
+    Raises:
+        RecordingError: the suffix is unknown, or the file exists or cannot be written.
+    """
     write = _WRITERS.get(target.suffix)
     if write is None:
         raise RecordingError(f"the name of the new file {target} must end in one of {', '.join(_WRITERS)}")

@@ -86,8 +86,8 @@ class RunInfo:
     recovered: Recovered | None  # losses of a recovery; None for an original recording
     intact: bool  # whether all checksums match, and no message is known to be missing
     verdict: str  # one sentence about the integrity of the run
-    checksums: structure.Checksums
-    rigs: tuple[str, ...]  # namespaces
+    checksums: structure.Checksums  # how many parts carry a checksum; all 0 if a part is damaged
+    rigs: tuple[str, ...]  # namespaces of the recorded rigs, such as `/rig`
     origin: Mapping[str, str]  # for an imported run: what was read, assumed and left out; empty for others
 
     @property
@@ -126,6 +126,7 @@ def info(path: Path | str) -> RunInfo:
     Raises:
         RecordingError: there is no recording, it is not finished, or its index is damaged. A damaged chunk does not
             raise: the verdict names it, and the figures cover the messages before it.
+        ImpactRigError: the recording exceeds a limit of reading.
 
     Examples:
         >>> import impact_rig
@@ -317,14 +318,6 @@ def _left_out(recovered: Recovered | None) -> list[str]:
 
 
 @attrs.define
-class _Count:
-    count: int = 0
-    bytes: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-
-
-@attrs.define
 class _RigScans:
     """Facts about the scans of one rig in a recording, collected message by message."""
 
@@ -368,7 +361,8 @@ class _Tally:
 
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
-        self._counts = {name: _Count() for name in run.topics}
+        self._found = {name: description.Extent() for name in run.topics}
+        self._bytes = dict.fromkeys(run.topics, 0)
         prefixes = run.prefixes
         self._scan_topics = {prefix + topics.SCAN.name for prefix in prefixes}
         self._journals = {prefix + topics.JOURNAL.name for prefix in prefixes}
@@ -379,11 +373,8 @@ class _Tally:
 
     def add(self, message: Message) -> None:
         """Count one message; also keep stamp and length of a block of scans, scan rates, starts and resets of rigs."""
-        count = self._counts[message.topic]
-        count.first_ns = message.log_time if not count.count else min(count.first_ns, message.log_time)
-        count.last_ns = max(count.last_ns, message.log_time)
-        count.count += 1
-        count.bytes += len(message.data)
+        self._found[message.topic].add(message.log_time)
+        self._bytes[message.topic] += len(message.data)
         self.sequences[message.topic].append(message.sequence)
         if message.topic in self._scan_topics:
             self._add_block(message)
@@ -422,10 +413,9 @@ class _Tally:
     def topics(self) -> tuple[TopicInfo, ...]:
         """Return the figures of every topic."""
         found = []
-        for name, count in self._counts.items():
-            span_s = (count.last_ns - count.first_ns) / NS_PER_S
-            rate = (count.count - 1) / span_s if count.count > 1 and span_s > 0 else None
-            found.append(
-                TopicInfo(name, self._types[name], count.count, rate, count.first_ns, count.last_ns, count.bytes)
-            )
+        for name, one in self._found.items():
+            span_s = one.duration_ns / NS_PER_S
+            rate = (one.count - 1) / span_s if span_s > 0 else None
+            first_ns = one.start_ns if one.count else 0
+            found.append(TopicInfo(name, self._types[name], one.count, rate, first_ns, one.end_ns, self._bytes[name]))
         return tuple(found)

@@ -26,7 +26,8 @@ MOST_LISTED = 12  # maximum number of items listed individually
 def origin(attachments: Mapping[str, bytes]) -> dict[str, str]:
     """Return the origin of an imported run (what was read, assumed and left out) as headings and texts.
 
-    `attachments` are the files stored inside the run, by name. The result is empty for a run that was not imported.
+    `attachments` are the files stored inside the run, by name. The result is empty for a run that was not imported. If
+    the description of its source is damaged, the result says so under `origin`.
     """
     text = attachments.get(SOURCE, b"")
     if not text or len(text) > LARGEST_BYTES:

@@ -56,7 +56,7 @@ def analyze(
 
     Args:
         run: an open run.
-        settings: settings of the measurement; None means those of the live analysis, or the defaults.
+        settings: settings of the measurement; None means the last ones of the live analysis, without one the defaults.
         instead: function that replaces each table of `daq/info` or `daq/scan` before it is analysed.
 
     Raises:
@@ -105,8 +105,9 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the settings and gap labels of the live analysis; without one, the defaults and the labels in remarks.
+    """Return the last settings of the live analysis and its gap labels; without one, the defaults and those in remarks.
 
+    There are no labels if two analyses published settings in turn: it is unknown which one made a label.
     Settings are read before the scans: a label names the scan it acts on, and may have been recorded after that scan.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
@@ -181,7 +182,7 @@ def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
 
 
 def remarks(run: Run) -> list[str]:
-    """Return the operator's remarks in a run (topic `notes`), in order."""
+    """Return the operator's remarks in a run (topic `notes`), in log-time order; empty if none was recorded."""
     return texts(run, topics.NOTES)
 
 
@@ -205,7 +206,7 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
 
 
 def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]:
-    """Return the texts on a topic of type std_msgs/String, in order; empty if the topic was not recorded.
+    """Return the texts on a topic of type std_msgs/String, in log-time order; empty if the topic was not recorded.
 
     Args:
         run: an open run.
@@ -362,8 +363,9 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     if not theirs:
         return Agreement(
             None,
-            reason="no measurement of the live analysis began at a change that is in the recording: live from scan "
-            f"{live_blind[0].end:.0f}, recorded from {data_begin}, here from {ours[0].begin if ours else 'none'}",
+            reason="no measurement of the live analysis began at a change that is in the recording: its first one "
+            f"began after scan {live_blind[0].end:.0f}, the recording after scan {data_begin}, and that of this "
+            "analysis " + (f"after scan {ours[0].begin}" if ours else "does not exist"),
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
@@ -548,7 +550,10 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
     missing = [row for row in ours[len(live) :] if row.end <= late]
     if missing:
         at_s = missing[0].stamp_ns / NS_PER_S
-        return f"the live analysis published nothing at {at_s:.9f} s, where this one has a row; had it ended?", False
+        return (
+            f"the live analysis published nothing at {at_s:.9f} s, where this one has a row; perhaps it had ended",
+            False,
+        )
     return "", identical
 
 

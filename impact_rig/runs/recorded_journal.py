@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of recorded journals, including those of the third version of this package, in which the journal was a table.
+"""Reader of recorded journals, including those of an earlier version of this package, which wrote them as tables.
 
 A row of such a table names a configuration value by the last 32 bytes of its name, and a text takes one row per 32
 bytes. Values unknown to this version are left out: such recordings can be shown and analysed, but not simulated again.
@@ -66,7 +66,7 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
 
 def entries(message: Message) -> list[JournalEntry]:
-    """Return the journal entries in a recorded message of `rig/journal`, of this version or of the third (a table).
+    """Return the journal entries in a recorded message of `rig/journal`: a JSON line, or an old table.
 
     Raises:
         ConfigError: the message is not a valid journal.

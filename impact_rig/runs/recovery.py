@@ -42,7 +42,7 @@ from impact_rig import codec, topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CodecError, RecordingError
 from impact_rig.recording import description, digests, losses, reader, records
-from impact_rig.recording.description import Attachment, Provenance, TopicDescription
+from impact_rig.recording.description import Attachment, Extent, Provenance, TopicDescription
 from impact_rig.recording.losses import check_contiguity, scan_rate_hz
 from impact_rig.recording.reader import Run, mcap_files, run_files
 from impact_rig.recording.records import RECORD_HEAD, DamageError, RawMessage, UncheckedError
@@ -82,7 +82,10 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """Part of a file that cannot be recovered: its offset and length [bytes], and the reason."""
+    """Part of a file that cannot be recovered: its offset and length [bytes], and the reason.
+
+    With the length 0 the reason concerns something else, such as one topic or `metadata.yaml`.
+    """
 
     file: str
     offset: int
@@ -263,23 +266,23 @@ class FileReport:
 
     name: str
     size: int
-    messages: int = 0  # number of recovered messages
-    chunks: int = 0  # number of intact chunks that contained them
+    chunks: int = 0  # number of intact chunks that contained recovered messages
     expected: Statistics | None = None  # statistics of the file's index; None without a credible index
     lost_bytes: int = 0  # number of bytes left out
     _scans: dict[str, _Blocks] = attrs.field(factory=dict)  # blocks of each rig, by topic
-    _first_ns: int | None = None
-    _last_ns: int = 0
+    _found: Extent = attrs.field(factory=Extent)
 
     def count(self, topic: TopicDescription, message: RawMessage) -> None:
         """Count a recovered message."""
-        self.messages += 1
-        time_ns = message.log_time
-        self._first_ns = time_ns if self._first_ns is None else min(self._first_ns, time_ns)
-        self._last_ns = max(self._last_ns, time_ns)
+        self._found.add(message.log_time)
         if prefix_of(topic.name, topics.SCAN) is not None:
             with contextlib.suppress(CodecError):
                 self._scans.setdefault(topic.name, _Blocks()).add(codec.decode(message.data))
+
+    @property
+    def messages(self) -> int:
+        """Number of recovered messages."""
+        return self._found.count
 
     @property
     def missing_messages(self) -> int | None:
@@ -296,9 +299,10 @@ class FileReport:
         """Duration of the scans missing between, before and after the recovered ones [s]; None without an index."""
         if self.expected is None:
             return None
-        if self._first_ns is None:
+        if not self.messages:
             return (self.expected.message_end_time - self.expected.message_start_time) / NS_PER_S
-        outside = self._first_ns - self.expected.message_start_time + self.expected.message_end_time - self._last_ns
+        expected, found = self.expected, self._found
+        outside = found.start_ns - expected.message_start_time + expected.message_end_time - found.end_ns
         inside = max((one.missing_s for one in self._scans.values()), default=0.0)
         return inside + max(0, outside) / NS_PER_S
 
@@ -379,9 +383,9 @@ RECORD_NAME = "impact_rig/recovered"  # metadata record of a recovered run
 class Recovered:
     """Losses of a recovery, as the recovered run states them in a metadata record."""
 
-    source: str
-    damages: int
-    lost_bytes: int
+    source: str  # name of the damaged run
+    damages: int  # number of damaged parts
+    lost_bytes: int  # their size [bytes]
     missing_messages: int | None
     """Number of messages in the index of the damaged run that were not recovered; None without an index."""
     unfinished: bool  # whether the damaged run was never finished, so its intended content is unknown
@@ -434,11 +438,16 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     Args:
         path: a run directory or an MCAP file; it is only read.
         out: the new run directory; must not contain a recording.
-        accept_unchecked: whether to accept chunks without a checksum, as rosbag2 writes by default: they may be wrong.
+        accept_unchecked: whether to accept chunks, messages outside chunks, attachments and metadata without a
+            checksum, as rosbag2 writes by default: they may be wrong.
+
+    Returns:
+        The report: the counts of recovered and missing messages, and each damaged part with the reason.
 
     Raises:
         RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be
             written.
+        ImpactRigError: the recording exceeds a limit of reading.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
@@ -501,6 +510,11 @@ def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> R
 
 
 def _files(path: Path, report: RecoverReport) -> list[Path]:
+    """Return the MCAP files to recover; if `metadata.yaml` cannot be used, all in its folder, noted in the report.
+
+    Raises:
+        RecordingError: there is no MCAP file.
+    """
     try:
         return run_files(path)
     except (RecordingError, BudgetError) as error:

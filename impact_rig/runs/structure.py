@@ -163,10 +163,11 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
         content = source.content(segment)
         index: dict[int, list[tuple[int, int]]] = {}
         here: list[int] = []
-        for channel_id, log_time, offset in records.positions(content):
+        for message in records.messages(content, None):
+            channel_id, sequence, log_time, publish_time, data, offset = message
             counts[channel_id] += 1
             here.append(log_time)
-            _add_message(digest, content, offset)
+            digest.add_message(channel_id, sequence, log_time, publish_time, data)
             index.setdefault(channel_id, []).append((log_time, offset))
         for definition in records.definitions(content):
             known = summary.schemas if isinstance(definition, mcap_records.Schema) else summary.channels
@@ -195,12 +196,6 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
         yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, but it holds {counts[channel]}"
     if times and (statistics.message_start_time, statistics.message_end_time) != (min(times), max(times)):
         yield "its statistics give other log times than its messages"
-
-
-def _add_message(found: digests.Digests, content: memoryview, offset: int) -> None:
-    _, length, channel, sequence, log_time, publish_time = records.MESSAGE_HEAD.unpack_from(content, offset)
-    data = content[offset + records.MESSAGE_HEAD.size : offset + records.RECORD_HEAD.size + length]
-    found.add_message(channel, sequence, log_time, publish_time, data)
 
 
 def _what(definition: mcap_records.Schema | mcap_records.Channel) -> str:

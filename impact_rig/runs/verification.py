@@ -72,6 +72,8 @@ _FOREIGN = "it belongs to another rig"
 _UNKNOWN = "not a topic of a rig"
 
 
+_USE = "verify it with the version of impact_rig that recorded it"
+
 NOT_CHECKED = (
     "metadata.yaml, which other tools read",
     "packing of messages into chunks",
@@ -124,7 +126,7 @@ def verify(run: Run) -> Verification:
         each topic. `str` describes the result in one line.
 
     Raises:
-        RecordingError: the run contains no scans, or is damaged.
+        RecordingError: the run has no topic `daq/scan`, has several rigs of which none was chosen, or is damaged.
 
     Examples:
         >>> import impact_rig
@@ -140,7 +142,9 @@ def verify(run: Run) -> Verification:
     """
     if arithmetic_of(run.provenance) not in ("", str(ARITHMETIC)):
         version = arithmetic_of(run.provenance)
-        return Verification(None, 0, f"recorded with arithmetic version {version}, this program has {ARITHMETIC}")
+        return Verification(
+            None, 0, f"recorded with arithmetic version {version}, this program has {ARITHMETIC}: {_USE}"
+        )
     run.resolve(topics.SCAN.name)
     if is_measured(run.provenance):
         return Verification(None, 0, "an imported measurement: there is nothing to re-simulate")
@@ -148,7 +152,9 @@ def verify(run: Run) -> Verification:
     if examined.contradictions:  # a topic missing in the index would pass for one that was never recorded
         return Verification(False, 0, examined.contradictions[0])
     changes = examined.changes
-    if not examined.has_digests and any(name.startswith(PROVENANCE_RECORD) for name in _metadata_names(run)):
+    if not examined.has_digests and any(
+        name.startswith(PROVENANCE_RECORD) for source in run.sources for name, _ in source.metadata()
+    ):
         changes = ("the digests that the recorder wrote are missing",)
     not_checked = NOT_CHECKED if examined.has_digests else NOT_CHECKED_WITHOUT_DIGESTS
     found = _verify_content(run, changes)
@@ -170,10 +176,6 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
     return complete, len(stamps_ns) - complete
 
 
-def _metadata_names(run: Run) -> Iterator[str]:
-    return (name for source in run.sources for name, _ in source.metadata())
-
-
 def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
     """Re-simulate a run and compare all that the rig published; changes after the recording count as differences.
 
@@ -187,7 +189,9 @@ def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None)
     except (RecordingError, ConfigError) as error:
         return Verification(False if changes else None, 0, changes[0] if changes else str(error))
     if not journals:
-        return Verification(False if changes else None, 0, changes[0] if changes else "the journal is empty")
+        return Verification(
+            False if changes else None, 0, changes[0] if changes else f"{topics.JOURNAL.name} has no message"
+        )
     if blocks is not None:
         last = max((number for number, _ in _assigned(_scans(run, blocks), journals, first)), default=first)
         journals, waveforms = journals[: last + 1], waveforms[: last + 1]
@@ -231,9 +235,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
-        raise RecordingError(
-            "the journal is a table of an earlier version of impact_rig: verify the run with that version"
-        )
+        raise RecordingError(f"its journal is a table, as an earlier version of impact_rig wrote it: {_USE}")
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]
@@ -736,13 +738,13 @@ class _OtherTopics:
             found = [parse(text.encode()) for text in recorded]
             opened = None if attached is None else parse(attached)
         except ConfigError as error:
-            return Compared(name, count, f"text {len(found)}: {error}")
+            return Compared(name, count, f"text {len(found)}, counted from 0: {error}")
         self._descriptions |= {robot_description(config) for config in found}
         published = [_deciding(config) for config in found]
         other = [number for number, config in enumerate(published) if config not in self._configurations]
         since = other[-1] + 1 if other else 0  # older configurations may belong to times before the first recorded scan
         if other and (since == len(published) or self._explained(published[since:]) < self._explained(published)):
-            return Compared(name, count, f"text {other[-1]}: {self._unlike(published[other[-1]])}")
+            return Compared(name, count, f"text {other[-1]}, counted from 0: {self._unlike(published[other[-1]])}")
         count = len(published) - since
         if opened is not None and _deciding(opened) not in [*published, *self._configurations]:
             return Compared(name, count, f"attachment {CONFIGURATION}: {self._unlike(_deciding(opened))}")

@@ -75,7 +75,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
-        RecordingError: there are too few contiguous scans.
+        RecordingError: the run has no calibration, or fewer than `FEWEST_DRAWN` contiguous scans there.
     """
     settled = [
         (number, table)
@@ -99,9 +99,10 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     end_s = rows["time"][-1] if end_ns is None else (end_ns - origin_ns) / NS_PER_S
     within = (rows["time"] > end_s - span_s) & (rows["time"] < end_s + 0.5 / rate_hz)
     if np.count_nonzero(within) < FEWEST_DRAWN:
+        where = "of its last settled measurement" if settled else "at its end"
         raise RecordingError(
-            f"{run.path}: the {np.count_nonzero(within)} contiguous scans at its end are too few to draw or "
-            f"fit; at least {FEWEST_DRAWN} are needed"
+            f"{run.path}: the {np.count_nonzero(within)} contiguous scans {where} are too few to draw or fit; at least "
+            f"{FEWEST_DRAWN} are needed"
         )
     rows = rows[within]
     impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
@@ -114,7 +115,7 @@ def last_record(run: Run) -> Excerpt:
     """Return the last contiguous scans of a run, at most `MOST_SCANS`, under any drive.
 
     Raises:
-        RecordingError: there are too few contiguous scans.
+        RecordingError: the run has no calibration, or fewer than `FEWEST_SCANS` contiguous scans at its end.
     """
     rate_hz = float(calibration_rows(run)["rate"][0])
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
@@ -202,7 +203,7 @@ def response_of(
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
             f"{run.path}: the coherence of base and laser is below {COHERENT} at all excited frequencies: drive the "
-            "rig with a chirp or noise (drive.waveform), or take longer segments"
+            "rig with a chirp or noise (drive.waveform), or choose longer segments (--segment S)"
         )
     return found
 

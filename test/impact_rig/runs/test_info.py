@@ -391,7 +391,7 @@ def test_a_run_being_written_is_distinguished_from_a_truncated_one(record, tmp_p
         info(writer.directory)
     assert recover(writer.directory, tmp_path / "copy").messages == len(sent)
     shutil.copytree(writer.directory, tmp_path / "cut")
-    with pytest.raises(RecordingError, match="its writer was interrupted; impact-rig recover saves"):
+    with pytest.raises(RecordingError, match="or the copy is incomplete; impact-rig recover saves"):
         info(tmp_path / "cut")
     writer.finish()
     assert info(writer.directory).intact

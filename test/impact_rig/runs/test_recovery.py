@@ -282,6 +282,12 @@ def test_records_truncated_anywhere_count_as_damage(tmp_path):
                 read(view)
 
 
+def test_a_message_too_short_for_its_head_is_damage_even_at_the_end_of_a_chunk():
+    short = records.RECORD_HEAD.pack(records.MESSAGE, 5) + bytes(5)
+    with pytest.raises(records.DamageError, match="a message record of 5 bytes is too short"):
+        list(records.messages(memoryview(short), None))
+
+
 def test_the_loss_of_the_chunk_with_the_definitions_costs_only_that_chunk(tmp_path):
     """The topics are repeated outside the chunks, so an unfinished file does not depend on its first chunk."""
     path = small_run(tmp_path / "run")
@@ -319,7 +325,7 @@ def test_split_runs_are_recovered_file_by_file(record, tmp_path):
     last = writer.files[-1]
     last.write_bytes(last.read_bytes()[:-200])
     (writer.directory / "metadata.yaml").unlink()
-    with pytest.raises(RecordingError, match="its writer was interrupted"):
+    with pytest.raises(RecordingError, match="its end is missing: its recorder was interrupted"):
         open_run(writer.directory)
     report = recover(writer.directory, tmp_path / "out")
     assert report.messages == len(sent)

@@ -152,7 +152,9 @@ def test_a_run_of_another_arithmetic_is_not_called_different(
     run = record(tmp_path / "run", edited(whole, "daq/scan", change), provenance)
     with open_run(run) as opened:
         found = verify(opened)
-    assert found == Verification(None, 0, f"recorded with arithmetic version 1, this program has {ARITHMETIC}")
+    remedy = "verify it with the version of impact_rig that recorded it"
+    reason = f"recorded with arithmetic version 1, this program has {ARITHMETIC}: {remedy}"
+    assert found == Verification(None, 0, reason)
     assert str(found).startswith("not verifiable: recorded with arithmetic version 1")
 
 
