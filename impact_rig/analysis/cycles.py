@@ -73,6 +73,11 @@ class Cycles:
         return len(self.first)
 
     @property
+    def harmonics(self) -> Real:
+        """Numbers 1 … H of the fitted harmonics, as floats."""
+        return np.arange(1.0, self.phasors.shape[2] + 1.0)
+
+    @property
     def degrees_of_freedom(self) -> int:
         """Number of residual degrees of freedom of the fits of all cycles together, per channel."""
         return int(np.sum(self.samples - (2 * self.phasors.shape[2] + 1)))

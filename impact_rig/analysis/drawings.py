@@ -146,7 +146,8 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
     """Draw the amplitude spectrum of samples y: a sine of amplitude A has a line of height A (flat-top window).
 
-    The drive frequency `drive_hz` and its harmonics are marked; the axis ends at `upto_hz`, or at rate / 2.
+    The drive frequency `drive_hz` and its harmonics up to the tenth are marked, for 0 or None nothing. The axis ends at
+    `upto_hz`; for 0 or None at rate / 2.
     """
     frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0

@@ -115,7 +115,8 @@ def frf(
     which is white.
 
     Raises:
-        ValueError: lengths differ, values are not finite, a channel is constant, or the record is too short.
+        ValueError: lengths differ, values are not finite, a channel is constant, `segment` is below 8 or above n, or
+            `overlap` is not 0 to < 1.
     """
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")

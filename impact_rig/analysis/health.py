@@ -140,10 +140,9 @@ def _medians(values: Real) -> list[float]:
 
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
     """Return, for each channel, the fault that its changes from scan to scan show (noise, spikes, jump) or None."""
-    harmonics = np.arange(1.0, cycles.phasors.shape[2] + 1.0)
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
     with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may read anything
-        smooth = SMOOTH_FACTOR * turn * (np.abs(cycles.phasors) @ harmonics).max(axis=0)
+        smooth = SMOOTH_FACTOR * turn * (np.abs(cycles.phasors) @ cycles.harmonics).max(axis=0)
     limits = (smooth + 2.0 * (calibration.output_step + calibration.converter_step)).tolist()
     freedom = np.maximum(cycles.samples - 2 * cycles.phasors.shape[2] - 1, 1)
     variances, jumps = _medians(cycles.residual / freedom[:, None]), _medians(cycles.jump)

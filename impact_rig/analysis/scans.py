@@ -104,19 +104,21 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
     if found == wanted:
         return
     names = found.names or ()
-    wrong = [
-        name
-        for name in wanted.names or ()
-        if (name not in later if name not in names else (found[name].kind == "S") != (wanted[name].kind == "S"))
-    ]
-    if wrong:
-        raise ConfigError(
-            f"{topic} lacks the column {', '.join(wrong)}, or has text there instead of numbers (or the reverse)"
-        )
+    missing = [name for name in wanted.names or () if name not in names and name not in later]
+    if missing:
+        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}")
+    for name in set(names).intersection(wanted.names or ()):
+        is_text = found[name].kind == "S"
+        if is_text != (wanted[name].kind == "S"):
+            has = "text instead of numbers" if is_text else "numbers instead of text"
+            raise ConfigError(f"{topic} has {has} in the column {name}")
 
 
 def scan_index(stamp_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the scan stamped `stamp_ns`; scan 0 has the stamp `start_ns`. Inverse: `simtime.stamp_ns`."""
+    """Return the index of the scan whose stamp is nearest to `stamp_ns`; that of scan 0 is `start_ns`.
+
+    Inverse: `simtime.stamp_ns`.
+    """
     over, under = rate_hz.as_integer_ratio()
     return ((stamp_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
 

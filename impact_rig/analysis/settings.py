@@ -161,7 +161,10 @@ class GapLabel:
 
 
 def parse_label(remark: str) -> GapLabel | None:
-    """Return the gap label in an operator's remark, such as `gap_m=0.006 at 12500000`; None for any other remark."""
+    """Return the gap label in an operator's remark, such as `gap_m=0.006 at 12500000`; None for any other remark.
+
+    A gap outside 0 to 1 m that is not `nan`, or a time beyond the range of ROS stamps, also gives None.
+    """
     match = _PATTERN.fullmatch(remark)
     if match is None:
         return None
@@ -192,7 +195,9 @@ def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, start
 
 
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
-    """Return the settings and the gap label [m] in a table `analysis/settings`; a missing setting has its default.
+    """Return the settings and the gap label [m] in a table `analysis/settings`.
+
+    A missing setting has its default, a missing gap label is NaN.
 
     Raises:
         ConfigError: the table has an unknown key, or a value out of range.

@@ -89,7 +89,7 @@ def more_windows(taken: int, reached: float, share: float) -> int:
     ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, but its pace can.
 
     `taken` is n, the number of windows from the change of the drive to the first measured one. `reached` is ε, and
-    `share` is s, 0 < s < 1.
+    `share` is s, 0 < s < 1. The result is 0 if ε is not between 0 and 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 
@@ -182,7 +182,7 @@ class Judge:
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
-        self._frequency_hz = self.frequency_hz = frequency_hz
+        self.frequency_hz = frequency_hz
         self._settings = settings
         self._windows: deque[Cycles] = deque(maxlen=settings.long_windows)
         self._ratios: deque[complex] = deque(maxlen=settings.long_windows)
@@ -212,7 +212,7 @@ class Judge:
         self._quiet = quiet
         self._since_row += 1
         self._waited_windows += 1
-        broken = unsound(window, self._calibration, self._frequency_hz)
+        broken = unsound(window, self._calibration, self.frequency_hz)
         if broken is None:
             self._noise_per_scan = self._crowding * np.maximum(window.residual_variance, self._calibration.noise**2)
             broken = self._lost_signal(window)
@@ -221,7 +221,7 @@ class Judge:
         self._broken = None
         self._whole += 1
         self._windows.append(window)
-        self._ratios.append(complex_transmissibility(window, self._calibration, self._frequency_hz))
+        self._ratios.append(complex_transmissibility(window, self._calibration, self.frequency_hz))
         short = self._settings.windows
         if len(self._windows) < short or (self._reported and self._since_row < short):
             return None
@@ -245,9 +245,9 @@ class Judge:
             return None
         parts = [*self._windows, *([rest] if rest is not None else [])]
         if not parts:
-            return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=self._frequency_hz)
+            return Measurement(status=Status.TOO_FEW_CYCLES, frequency_hz=self.frequency_hz)
         cycles = concatenate(parts)
-        found = measure(cycles, self._calibration, self._frequency_hz, self._settings, worst=math.inf)
+        found = measure(cycles, self._calibration, self.frequency_hz, self._settings, worst=math.inf)
         return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
 
     def _given(self, found: Measurement | None) -> Measurement | None:
@@ -296,7 +296,7 @@ class Judge:
         alone = changed_alone(self._reference, found.amplitudes) if self._reference else None
         if alone:
             return Measurement(
-                status=alone.status, channel=alone.channel, frequency_hz=self._frequency_hz, cycles=found.cycles
+                status=alone.status, channel=alone.channel, frequency_hz=self.frequency_hz, cycles=found.cycles
             )
         if found.status is not Status.CURRENT_UNSOUND:  # otherwise the current would seem to change when it returns
             self._reference = found.amplitudes
@@ -327,7 +327,7 @@ class Judge:
         if status is self._broken and self._since_row < self._settings.windows:
             return None
         self._broken, self._since_row = status, 0
-        return Measurement(status=status, channel=why.channel, frequency_hz=self._frequency_hz)
+        return Measurement(status=status, channel=why.channel, frequency_hz=self.frequency_hz)
 
     def _steady(self) -> Measurement | None:
         newest = abs(self._ratios[-1])
@@ -383,7 +383,7 @@ class Judge:
 
     def _measure(self, windows: int, bias: complex, worst: float | None = None) -> Measurement:
         cycles = concatenate(list(self._windows)[-windows:])
-        return measure(cycles, self._calibration, self._frequency_hz, self._settings, bias, self._reference, worst)
+        return measure(cycles, self._calibration, self.frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
         """Return the standard uncertainty of X_1 / X_b = `ratio` due to the noise in the mean of `windows` windows.

@@ -129,7 +129,10 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the noise variance per sample that a residual's spectrum shows near a frequency; its variance if white."""
+    """Return the noise variance per sample that the spectrum of a residual shows near a frequency.
+
+    It is the variance of the whole residual if the record is too short for `NEAR_BINS` lines there.
+    """
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))
     apart = np.arange(SKIP_BINS + 1, SKIP_BINS + NEAR_BINS + 1)

@@ -82,6 +82,7 @@ def batch_variance(values: Complex, batches: int) -> Real:
     Batches much longer than the correlation are practically independent, however it decays (Schmeiser 1982, Operations
     Research 30, 556–568). For shorter ones, the variance from b batches is too small in proportion to b. 2V_b − V_2b is
     free of this error (Vats & Flegal 2022, Biometrika 109, 735–750). `student_2u` accounts for their small number.
+    The values have shape (n,), n >= batches >= 2; the result has shape (2,).
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse

@@ -50,11 +50,11 @@ class Counters:
     scans: int = 0
     lost_scans: int = 0
     duplicate_scans: int = 0
-    unconfigured_scans: int = 0
-    restarts: int = 0
-    late_events: int = 0
-    measurements: int = 0
-    refusals: int = 0
+    unconfigured_scans: int = 0  # received before the first `daq/info`, and dropped
+    restarts: int = 0  # times at which the rig was reset, or its stamps went back
+    late_events: int = 0  # changes that came after their scan had been measured, so that they act later
+    measurements: int = 0  # rows with numbers
+    refusals: int = 0  # rows with only a status
     impacts: int = 0
 
 
@@ -171,9 +171,10 @@ class Tracker:
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Register the calibration; it acts from the table's stamp on.
+        """Register the calibration; it acts from the table's stamp on. A repetition of the last table has no effect.
 
-        A new time of scan 0 in it means that the rig was reset: scans from then on are measured as a new record.
+        A new time of scan 0 in it means that the rig was reset: scans from then on are measured as a new record. So
+        does another scan rate.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -233,7 +234,7 @@ class Tracker:
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process the next block of scans; blocks arrive in order.
+        """Process the next block of scans; blocks arrive in order. Without a calibration, the block is dropped.
 
         Args:
             scan: a table `daq/scan`.
@@ -243,7 +244,7 @@ class Tracker:
             impacts detected. Both are often empty.
 
         Raises:
-            ConfigError: the table is invalid.
+            ConfigError: the table lacks a column, or has text instead of numbers there.
         """
         absent = () if self._calibration is None else self._calibration.absent
         rows = scan.rows
@@ -315,7 +316,7 @@ class Tracker:
                 status `not_settled`.
 
         Returns:
-            The last results, as from `feed`.
+            The last measurements, as from `feed`; all impacts have been returned by `feed`.
         """
         if self._started:
             self._advance(self._buffer.end)
@@ -331,8 +332,7 @@ class Tracker:
         """Add a row of all cycles of a record that ends before its first row, or the reason why it has none."""
         accumulator = self._accumulator
         if accumulator is None:
-            frequency = self._command.frequency_hz if self._command else math.nan
-            self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._buffer.end - 1)
+            self._emit_status(Status.NO_FREQUENCY, self._buffer.end - 1)
             return
         self._add(accumulator)
         count = accumulator.pending_cycles
@@ -546,8 +546,7 @@ class Tracker:
         while until - self._origin >= second:
             self._origin += second
             self._take_impacts(self._origin)
-            frequency = self._command.frequency_hz if self._command else math.nan
-            self._emit(Measurement(status=Status.NO_FREQUENCY, frequency_hz=frequency), self._origin - 1)
+            self._emit_status(Status.NO_FREQUENCY, self._origin - 1)
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
@@ -582,8 +581,12 @@ class Tracker:
 
     def _refuse(self, status: Status) -> None:
         self._take_impacts(self._measured)
+        self._emit_status(status, self._measured - 1)
+
+    def _emit_status(self, status: Status, last_scan: int) -> None:
+        """Add a row that has only a status and the present drive frequency, NaN without a command."""
         frequency = self._command.frequency_hz if self._command else math.nan
-        self._emit(Measurement(status=status, frequency_hz=frequency), self._measured - 1)
+        self._emit(Measurement(status=status, frequency_hz=frequency), last_scan)
 
     def _emit(self, found: Measurement, last_scan: int) -> None:
         if found.status in MEASURED:

@@ -98,8 +98,13 @@ def measure_record(
 ) -> Measurement:
     """Measure the transmissibility from all complete drive cycles of a record, which is taken as settled.
 
+    If that is impossible, the result has the reason as its status and no numbers.
+
     The scans (`daq/scan`) are consecutive, shape (n,); `info` are the rows of `daq/info`. Of the settings, only those
     of harmonics, periodicity and uncertainty are used.
+
+    Raises:
+        ConfigError: `info` does not describe the channels.
     """
     settings = settings or TrackerSettings()
     calibration = Calibration.from_info(info)
@@ -147,7 +152,7 @@ def measure(
         return refuse(broken)
     noise = _noise_variance(cycles, calibration)
     phasors, deviation_hz = _derotated(cycles, calibration, noise)
-    true = [phasors[:, c] / calibration.response(c, frequency_hz * harmonic_numbers(cycles)) for c in range(4)]
+    true = [phasors[:, c] / calibration.response(c, frequency_hz * cycles.harmonics) for c in range(4)]
     x1, xb = true[LASER][:, 0], true[BASE][:, 0]
     mean1, mean_b = complex(x1.mean()), complex(xb.mean())
     moved = noise / calibration.scales(frequency_hz) ** 2  # noise as displacement
@@ -241,11 +246,6 @@ def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency
     return complex(cycles.phasors[:, LASER, 0].mean() / base * lag)
 
 
-def harmonic_numbers(cycles: Cycles) -> Real:
-    """Return the numbers 1 … H of the harmonics of fitted cycles, as floats."""
-    return np.arange(1.0, cycles.phasors.shape[2] + 1.0)
-
-
 def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
     """Return the variance per sample of the residual of the fits, at least that of the quantisation, shape (4,)."""
     return np.asarray(np.maximum(cycles.residual_variance, calibration.resolution**2 / 12.0), dtype=np.float64)
@@ -266,7 +266,7 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
         if np.abs(reference).min() > limit:
             phase = np.unwrap(np.angle(reference))
             omega = float(time @ (phase - phase.mean()) / (time @ time))
-            turn = np.exp(-1j * omega * time[:, None, None] * harmonic_numbers(cycles))
+            turn = np.exp(-1j * omega * time[:, None, None] * cycles.harmonics)
             return cycles.phasors * turn, omega / (2.0 * math.pi)
     return cycles.phasors, NAN
 
@@ -350,7 +350,8 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
     """Return a caveat on a row of `transmissibility/table`: a slow sphere could still strike. Empty for other rows.
 
     It applies to the status `no_impacts`. The time without impacts is the shorter of `impact_age` and `waited`: before
-    that, the drive was different.
+    that, the drive was different. The slow sphere crosses the labelled gap in that time; without a label of a gap, its
+    speed is not stated.
     """
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""
@@ -362,7 +363,8 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
     """Return a measurement as a table `transmissibility/table` of one row, stamped with the stamp of its last scan.
 
-    `gap_m` is the operator's label of the gap, `waited_s` the time since the last change.
+    `gap_m` is the operator's label of the gap [m], NaN if unknown. `waited_s` is the time since drive, label or
+    calibration last changed [s].
     """
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
     for column, value in {

@@ -89,7 +89,7 @@ class Budget:
     parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return the share of one line of the budget in the variance of the transmissibility, 0 to 1."""
+        """Return the share of one line of the budget in the variance of the transmissibility, 0 to 1; 0 if exact."""
         whole = (self.u_transmissibility / self.transmissibility) ** 2
         return part.u_relative**2 / whole if whole else 0.0
 
