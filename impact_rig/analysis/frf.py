@@ -120,10 +120,13 @@ def frf(
     """
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")
-    if not 8 <= segment <= len(x) or not 0.0 <= overlap < 1.0:
+    if not 8 <= segment <= len(x):
         raise ValueError(
-            f"segment must be 8 to {len(x)} samples and overlap 0 to < 1, got {segment} samples and {overlap}"
+            f"segment must be 8 to {len(x)} samples ({8 / rate_hz:g} to {len(x) / rate_hz:g} s), got {segment} "
+            f"({segment / rate_hz:g} s)"
         )
+    if not 0.0 <= overlap < 1.0:
+        raise ValueError(f"overlap must be >= 0 and < 1, got {overlap}")
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise ValueError("x (excitation) and y (response) must be finite")
     if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:

@@ -592,7 +592,10 @@ def run_files(path: Path) -> list[Path]:
     listed = [_listed(path, name) for name in _listed_files(path)]
     missing = [file.name for file in listed if not file.exists()]
     if missing:
-        raise RecordingError(f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it)")
+        raise RecordingError(
+            f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it): copy it there, "
+            "or save the other files with impact-rig recover"
+        )
     found = listed or mcap_files(path) or sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap.zstd"))
     if not found:
         raise RecordingError(f"{path} holds no *.mcap file, so it is not a recording")
@@ -633,9 +636,9 @@ def _listed_files(directory: Path) -> list[str]:
         raise RecordingError(f"cannot read {path}: {error.strerror}") from error
     except (KeyError, TypeError) as error:
         where = f"{description.METADATA_KEY}: relative_file_paths"
-        raise RecordingError(f"cannot parse {path}: it has no list {where}") from error
+        raise RecordingError(f"cannot parse {path}: it has no list {where}; {_WITHOUT_METADATA}") from error
     except ValueError as error:
-        raise RecordingError(f"cannot parse {path}: {error}") from error
+        raise RecordingError(f"cannot parse {path}: {error}; {_WITHOUT_METADATA}") from error
 
 
 def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) -> bool:
@@ -669,6 +672,7 @@ def _items(
 
 
 _REMEDY = "impact-rig recover saves the intact chunks, if there are any"
+_WITHOUT_METADATA = f"impact-rig recover does not need it, and writes a new {description.METADATA_FILE}"
 _BEING_WRITTEN = (
     "it is still being recorded: read it when the recording has ended (Ctrl-C, or ~/stop of the recorder), or "
     "copy its present content with impact-rig recover"

@@ -213,7 +213,7 @@ class RunWriter:
         """
         channel = self._channels.get(topic_name)
         if channel is None:
-            raise RecordingError(f"topic {topic_name} has not been added to the recording")
+            raise RecordingError(f"topic {topic_name} has not been added to the recording: call add_topic first")
         self._refuse_if_closed()
         if channel.is_scan:
             scans = _block(data, table)

@@ -199,7 +199,9 @@ def response_of(
         )
     except ValueError as error:  # ConfigError is one
         seconds = len(excerpt.rows) / excerpt.rate_hz
-        raise RecordingError(f"{run.path}: its last {seconds:g} s give no frequency response: {error}") from error
+        raise RecordingError(
+            f"{run.path}: its last {seconds:g} s give no frequency response of base (x) and laser (y): {error}"
+        ) from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
             f"{run.path}: the coherence of base and laser is below {COHERENT} at all excited frequencies: drive the "

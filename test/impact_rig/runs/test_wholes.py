@@ -118,8 +118,8 @@ def test_a_sine_yields_one_line_and_is_reported_as_a_sine(steady: Path, capsys: 
     [
         ("nan", "--segment must be a finite number of seconds > 0, got nan"),
         ("-1", "--segment must be a finite number of seconds > 0, got -1"),
-        ("200", "its last 100 s give no frequency response: segment must be 8 to 100000"),
-        ("1e-3", "segment must be 8 to 100000"),
+        ("200", "segment must be 8 to 100000 samples (0.008 to 100 s), got 200000 (200 s)"),
+        ("1e-3", "segment must be 8 to 100000 samples (0.008 to 100 s), got 1 (0.001 s)"),
     ],
 )
 def test_an_impossible_segment_length_is_rejected(
