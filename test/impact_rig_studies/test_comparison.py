@@ -58,7 +58,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.parametrize("driven_by", ["current", "base"])
 @pytest.mark.parametrize("name", ["sphere", "linear"])
-def test_the_model_with_the_rigs_own_constants_does_what_the_rig_did(
+def test_the_model_with_the_constants_of_the_rig_reproduces_its_motion(
     recorded: dict[str, Path], name: str, driven_by: str
 ) -> None:
     """Time traces agree within the gain errors of the sensors, DT and phase within their uncertainty."""
@@ -71,7 +71,7 @@ def test_the_model_with_the_rigs_own_constants_does_what_the_rig_did(
     assert np.std(found.residual) < 0.01 * np.std(found.excerpt.rows["laser"])
 
 
-def test_other_constants_show_and_better_ones_are_found(recorded: dict[str, Path]) -> None:
+def test_wrong_constants_are_detected_and_better_ones_found(recorded: dict[str, Path]) -> None:
     """A model whose resonance is 0.5 % higher differs by many u; the fit finds the resonance of the rig."""
     known = from_flat(RigConfig(), {"structure.natural_frequency_hz": 9.15, "sphere.present": False})
     with open_run(recorded["linear"]) as run:
@@ -91,7 +91,7 @@ def differentiated(values: np.ndarray, order: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("laser", "base"), [("m", "m"), ("m/s^2", "m"), ("m/s", "m/s^2")])
-def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_parts(
+def test_a_record_from_mid_motion_is_compared_and_one_with_a_gap_in_parts(
     tmp_path: Path, laser: str, base: str
 ) -> None:
     """The imported record has 10 s from the middle of a motion, without current; half a second is missing.
@@ -133,7 +133,7 @@ def test_a_record_that_begins_amid_the_motion_is_compared_and_one_with_a_gap_in_
     assert np.std(found.excerpt.rows["laser"]) == pytest.approx(np.std(rows["laser"]), rel=0.01)
 
 
-def test_a_run_in_which_nothing_settled_is_refused(tmp_path: Path) -> None:
+def test_a_run_without_a_settled_measurement_is_rejected(tmp_path: Path) -> None:
     with (
         open_run(measured_rig(0.5).save(tmp_path / "run")) as run,
         pytest.raises(RecordingError, match="nothing settled"),
@@ -142,7 +142,7 @@ def test_a_run_in_which_nothing_settled_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("channel", [LASER, CURRENT])
-def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
+def test_lag_and_skew_of_a_sensor_are_corrected(channel: int) -> None:
     """The measured sine of a sensor becomes the true one, up to its ends."""
     calibration = Calibration.from_info(LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200}).core.info().rows)
     time_s = np.arange(3 * RATE_HZ) / RATE_HZ
@@ -153,7 +153,7 @@ def test_lag_and_skew_of_a_sensor_are_undone(channel: int) -> None:
     assert np.abs(undone(read, calibration, channel, 9.1) - true.real).max() < 0.05
 
 
-def test_the_command_tells_and_draws(
+def test_the_command_prints_and_draws_the_comparison(
     recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = tmp_path / "model.yaml"
@@ -185,7 +185,7 @@ SPHERE, CURRENT_LACKS = "DT without the sphere", "a measured current"
         ("none", ("laser", "base", "current"), []),
     ],
 )
-def test_the_command_names_what_the_constants_lack_and_nothing_else(
+def test_the_command_names_only_the_constants_that_are_missing(
     recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     gap: str, channels: tuple[str, ...], missing: list[str],
 ) -> None:  # fmt: skip

@@ -42,7 +42,7 @@ def judged(case):
 
 @pytest.mark.parametrize("bits", [12, 16])
 @pytest.mark.repeats
-def test_reductions_are_off_by_what_they_state(bits):
+def test_errors_of_reductions_agree_with_their_stated_uncertainty(bits):
     """At 16 bits, errors scatter: a sum of (error/u)² is a chi-square. At 12 bits, steps limit them: few exceed 2u."""
     case = next(case for case in TOOL["reduction_cases"]() if case.label == (f"{bits}",))
     found, _ = judged(attrs.evolve(case, gaps_m=(0.0, 0.008, 0.002), span_s=14.0))  # time for two rows
@@ -58,7 +58,7 @@ def test_reductions_are_off_by_what_they_state(bits):
     [("50", "12", "on", True), ("5", "16", "on", True), ("5", "16", "off", True), ("2", "12", "on", False)],
 )
 @pytest.mark.repeats
-def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
+def test_small_signals_are_covered_by_their_uncertainty_or_rejected(base_um, bits, noise, measured):
     """At 6 Hz, x_1 is 1.8 times the base: 9 µm or less with laser steps of 8 µm, 4 µm with converter steps of 10 µm."""
     case = next(case for case in TOOL["small_cases"]((6.0,)) if case.label[1:] == (base_um, bits, noise))
     found, refused = judged(case)
@@ -71,7 +71,7 @@ def test_small_signals_are_covered_or_refused(base_um, bits, noise, measured):
         assert np.mean(np.abs(off) <= 2.0) >= 0.75, (name, off)
 
 
-def test_a_sphere_that_drifts_for_twenty_seconds_is_not_at_rest():
+def test_a_sphere_that_drifts_for_twenty_seconds_is_not_called_at_rest():
     """At 18 mm and 10.85 Hz, it leaves a wall at less than 1 mm/s: a wait of 16 s would miss its next impact."""
     config = PLACES["configuration"](18.0)
     (motion,) = PLACES["driven"](config, 10.85, 40.0)

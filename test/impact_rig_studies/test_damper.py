@@ -45,7 +45,7 @@ def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], LocalRig]
 
 
 @pytest.mark.parametrize("gap_m", [0.004, 0.006])
-def test_the_loss_factor_is_the_energy_that_the_impacts_take(gap_m: float) -> None:
+def test_the_loss_factor_agrees_with_the_energy_lost_in_impacts(gap_m: float) -> None:
     without, _ = measured({"sphere.present": False})
     row, rig = measured({"barriers.gap_m": gap_m})
     found = damper(without, row, Calibration.from_info(rig.tables(topics.INFO.name)[0].rows))

@@ -45,7 +45,7 @@ def decay(seconds=20.0, rate_hz=500.0, *, f_n=F_N, zeta=ZETA, amplitude=5e-3, ph
     phase=st.floats(-3.0, 3.0),
     amplitude=st.floats(1e-9, 1.0),
 )
-def test_a_noiseless_decay_gives_back_its_parameters(method, f_n, zeta, phase, amplitude):
+def test_a_noiseless_decay_yields_its_parameters(method, f_n, zeta, phase, amplitude):
     y = decay(10.0, 2000.0, f_n=f_n, zeta=zeta, phase=phase, amplitude=amplitude, offset=0.1 * amplitude)
     found = method(y, 2000.0)
     assert found.status is Status.OK
@@ -56,7 +56,7 @@ def test_a_noiseless_decay_gives_back_its_parameters(method, f_n, zeta, phase, a
 
 @METHODS
 @pytest.mark.parametrize("rate_hz", [19.0, 30.0, 40.0, 45.0, 46.0])
-def test_a_rate_at_which_a_cycle_has_too_few_samples_gives_no_fit(method, rate_hz):
+def test_a_rate_with_too_few_samples_per_cycle_yields_no_fit(method, rate_hz):
     """With fewer than five samples in a cycle, the fit has a singular matrix; the user must get the reason instead."""
     rng = np.random.default_rng(3)
     y = decay(20.0, rate_hz) + 1e-6 * rng.standard_normal(round(20 * rate_hz))
@@ -65,7 +65,7 @@ def test_a_rate_at_which_a_cycle_has_too_few_samples_gives_no_fit(method, rate_h
 
 
 @METHODS
-def test_acceptance_on_a_locked_base_decay(method):
+def test_a_decay_with_a_locked_base_meets_the_acceptance_limits(method):
     """f_n within 0.02 % and ζ within 2 %, with laser steps of 8 µm, 3 µm of noise, 10 kS/s and 5 mm."""
     rng = np.random.default_rng(1)
     y = decay(20.0, 10_000.0) + 3e-6 * rng.standard_normal(200_000)
@@ -104,7 +104,7 @@ def scans(y):
 
 @METHODS
 @pytest.mark.repeats
-def test_the_curve_of_the_sensor_is_in_the_uncertainty_of_the_damping(method):
+def test_the_uncertainty_of_the_damping_includes_sensor_nonlinearity(method):
     """300 rigs with different gain and curve (Legendre, |c_2| + |c_3| <= 1); noise alone would give a tenth of u."""
     rng = np.random.default_rng(6)
     rate = 190
@@ -131,7 +131,7 @@ def _bent_by_sums(decay_per_s, seconds):
     return (-slope / decay_per_s - 1) / 1e-6
 
 
-def test_a_record_that_holds_the_whole_decay_is_bent_by_a_half():
+def test_a_record_of_the_complete_decay_is_affected_half_as_much_by_nonlinearity():
     """For a short record the factor is 2: ln(1 + κe^{−2λt}) then falls by 2κλ per second."""
     assert bent(0.25, 100.0) == pytest.approx(0.5, rel=1e-9)
     assert bent(0.25, 0.01) == pytest.approx(2.0, rel=1e-2)
@@ -149,7 +149,7 @@ def test_a_clipped_decay_is_named():
     assert measure_decay(scans(y), info).status is Status.OK
 
 
-def test_a_decay_of_a_damping_that_changes_with_the_amplitude_is_refused():
+def test_a_decay_with_amplitude_dependent_damping_is_rejected():
     """For example, impacts that no accelerometer measures double the damping while the amplitude is large."""
     rate = 500
     time = np.arange(20 * rate) / rate
@@ -176,7 +176,7 @@ def test_the_two_methods_agree_within_their_uncertainty():
 
 
 @METHODS
-def test_an_offset_that_drifts_does_not_matter(method):
+def test_a_drifting_offset_does_not_affect_the_result(method):
     found = method(decay(drift=1e-5), 500.0)
     assert found.damping_ratio == pytest.approx(ZETA, rel=1e-3)
 
@@ -196,7 +196,7 @@ def test_an_offset_that_drifts_does_not_matter(method):
     ],
     ids=["zeros", "constant", "nan", "noise", "one cycle", "three cycles", "nothing", "growing"],
 )
-def test_nonsense_gets_a_name_and_no_number(method, y, status):
+def test_invalid_records_yield_a_status_and_no_number(method, y, status):
     found = method(y, 500.0)
     assert found.status is status
     assert np.isnan(found.natural_frequency_hz)
@@ -204,14 +204,14 @@ def test_nonsense_gets_a_name_and_no_number(method, y, status):
 
 
 @given(h0=st.floats(1e-3, 10.0), e=st.floats(0.01, 1.0), u=st.floats(0.0, 1e-4))
-def test_drop_test_closed_form(h0, e, u):
+def test_a_drop_test_yields_the_closed_form(h0, e, u):
     found = restitution_of_drops(np.array([h0]), np.array([e**2 * h0]), u, u)
     assert found.restitution == pytest.approx(e)
     assert found.u_restitution == pytest.approx(e / 2 * np.hypot(u / h0, u / (e**2 * h0)), rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize("drops", [1, 10])
-def test_drop_test_uncertainty_covers_the_truth(drops):
+def test_the_uncertainty_of_a_drop_test_covers_the_truth(drops):
     """1500 tests of e = 0.35 from 0.2 m, with different readings of the heights to 0.5 mm."""
     rng = np.random.default_rng(5)
     inside = []
@@ -240,6 +240,6 @@ def test_impossible_drops_are_named(h0, h1, u, status):
     assert np.isnan(found.restitution)
 
 
-def test_heights_that_do_not_pair_are_a_mistake_of_the_caller():
+def test_unpaired_heights_raise_an_error():
     with pytest.raises(ValueError, match="equal length"):
         restitution_of_drops(np.ones(3), np.ones(2), 0.0, 0.0)

@@ -95,7 +95,7 @@ def end(demo: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.usefixtures("measured_programs")
-def test_the_demo_reproduces_the_paper_and_loses_nothing(tmp_path: Path) -> None:
+def test_the_demo_reproduces_the_paper_without_losses(tmp_path: Path) -> None:
     demo = start_demo(tmp_path / "demo")
     try:
         output, _ = demo.communicate(timeout=280)

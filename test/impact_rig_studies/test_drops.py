@@ -39,7 +39,7 @@ def recorded(rig: LocalRig) -> Messages:
     return sorted(found, key=lambda one: one[1].stamp_ns)
 
 
-def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
+def test_drops_noted_in_a_run_yield_the_restitution_of_the_law(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A sphere that falls from h0 rebounds to e² h0, where e is that of the configured law."""
@@ -75,7 +75,7 @@ def test_drops_noted_with_a_run_give_the_restitution_of_the_law(
         ),
     ],
 )
-def test_a_drop_test_that_is_none_says_so(
+def test_an_invalid_drop_test_is_rejected(
     tmp_path: Path, remarks: list[str], u: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = LocalRig(RIG)
@@ -88,6 +88,6 @@ def test_a_drop_test_that_is_none_says_so(
 @pytest.mark.parametrize(
     "remark", ["drop", "drop h0_m=1", "drop h0_m=e h1_m=-", "xdrop h0_m=1 h1_m=1", "drop h0_m=1 h1_m=1 x"]
 )
-def test_other_remarks_are_no_drops(remark: str) -> None:
+def test_other_remarks_are_not_taken_for_drops(remark: str) -> None:
     assert parse_drop(remark) is None
     assert parse_drop(f"  {DropHeights(0.1, 1e-3).text()} ") == DropHeights(0.1, 1e-3)

@@ -66,7 +66,7 @@ def standard(z: np.ndarray, e: float, gamma: float) -> np.ndarray:
     return np.array([phase, e * z[1] - gamma * math.cos(phase)])
 
 
-def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
+def test_the_period_of_a_high_bouncing_ball_doubles_where_holmes_predicts():
     """P. J. Holmes (1982), J. Sound Vib. 84, 173–189: the orbit of one bounce in n periods is stable for
 
     2πn (1 − e) < γ < 2 √(π²n² (1 − e)² + (1 + e)²): from a fold to a flip.
@@ -91,7 +91,7 @@ def test_a_high_bouncing_ball_doubles_its_period_where_holmes_says():
 
 
 @pytest.mark.parametrize("aside", [0.09, 0.12, 0.15])
-def test_an_orbit_that_the_last_round_finds_is_found(aside):
+def test_an_orbit_found_in_the_last_round_of_newton_is_accepted(aside):
     """At a fold, Newton's method halves the distance in each round, and needs all rounds from a short distance.
 
     The result of the last round must be checked as well, and not thrown away.
@@ -107,7 +107,7 @@ def test_an_orbit_that_the_last_round_finds_is_found(aside):
 
 
 @pytest.mark.parametrize("moves", [0, 1, 3])
-def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
+def test_a_branch_that_meets_itself_is_closed_in_any_coordinates(moves):
     """The branch is a circle, whose coordinates are shifted along the way.
 
     The first orbit must be shifted as well; otherwise, it is never met again, and the branch continues forever.
@@ -131,7 +131,7 @@ def test_a_branch_that_meets_itself_is_closed_in_whatever_coordinates(moves):
 
 
 @pytest.mark.parametrize("beyond", [1e-4, 0.02, 0.1])
-def test_a_branch_tells_of_a_change_just_before_the_end_of_the_range(beyond):
+def test_a_change_of_stability_in_the_last_step_of_a_branch_is_reported(beyond):
     """The logistic map flips at 3, in the last step up to the end of the range or before it.
 
     A change of stability in the last step must be reported, although this step also reaches the end.
@@ -200,7 +200,7 @@ def bounced(e: float, gamma: float) -> np.ndarray:
 GAMMA_0 = math.pi * (1.0 - 0.5) / (1.0 + 0.5)
 
 
-def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_say():
+def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_predict():
     """J. M. Luck & A. Mehta (1993), Phys. Rev. E 48, 3988: from Γ_0 = π(1 − e)/(1 + e) to
 
     Γ² = Γ_0² + [2(1 + e²)/(1 + e)²]², exactly, for one bounce a period.
@@ -220,7 +220,7 @@ def test_the_rig_as_a_bouncing_ball_doubles_its_period_where_luck_and_mehta_say(
     assert np.prod(flip.multipliers).real == pytest.approx(e * e, rel=2e-3)  # each bounce takes so much of an area
 
 
-def test_the_rig_as_a_bouncing_ball_doubles_its_period_again_where_a_published_diagram_does():
+def test_the_second_period_doubling_of_a_bouncing_ball_agrees_with_a_diagram():
     """Tufillaro, Abbott & Reilly (1992), An Experimental Approach to Nonlinear Dynamics and Chaos, Fig. 1.16.
 
     Two bounces in two periods exist up to an amplitude of 0.0115 cm. The ball keeps half of its speed, and the table
@@ -266,7 +266,7 @@ def impact_map_exponent(e: float, gamma: float, bounces: int) -> float:
     return total / ((t - begin) / TWO_PI)
 
 
-def test_the_exponents_of_a_bouncing_ball():
+def test_the_exponents_of_a_bouncing_ball_are_the_closed_form():
     """The exponent is ln e if the multipliers are a complex pair: the area shrinks by e² per bounce."""
     e, gamma = 0.5, 1.2
     found = exponent.largest(Bouncer(e, gamma), bounced(e, gamma), returns=60, windows=6)
@@ -274,7 +274,7 @@ def test_the_exponents_of_a_bouncing_ball():
 
 
 @pytest.mark.slow
-def test_the_exponent_of_a_chaotic_bouncing_ball_is_that_of_its_impact_map():
+def test_the_exponent_of_a_chaotic_bouncing_ball_agrees_with_its_impact_map():
     e, gamma = 0.9, 1.6  # no flight becomes so short that chatter begins
     ball = Bouncer(e, gamma)
     found = exponent.largest(ball, ball(np.array([5.0, 1.0]), 100), returns=150, windows=12)
@@ -286,7 +286,7 @@ def test_the_exponent_of_a_chaotic_bouncing_ball_is_that_of_its_impact_map():
 
 
 @pytest.mark.parametrize("case", [*STABLE, UNSTABLE])
-def test_the_orbits_of_masri_and_caughey_their_multipliers_and_where_they_end(case):
+def test_orbits_multipliers_and_limits_of_masri_and_caughey_are_reproduced(case):
     o, config = orbit(case), case.config()
     place, unit = Place(config, o.omega / TWO_PI, o.base_m), config.barriers.gap_m
     strobe = Stroboscope(place, "gap_m", unit)
@@ -318,7 +318,7 @@ def event(rows, name):
     return next(row for row in rows if row["event"] == name)
 
 
-def test_both_branches_are_the_slow_invariant_manifold(over_gap):
+def test_both_branches_lie_on_the_slow_invariant_manifold(over_gap):
     """Loss factor of the damper compared with (m/m_1)(8/π²) ρΘ²/ξ², on the stable and the unstable side of the fold."""
     rig = LinearRig.of(RigConfig())
     sphere, m_1 = rig.sphere_kg, RigConfig().structure.mass_kg
@@ -343,7 +343,7 @@ def test_both_branches_are_the_slow_invariant_manifold(over_gap):
 @pytest.mark.parametrize(
     ("friction", "gap_m"), [(2.0, 0.006), (0.3, 0.1), (0.05, 0.2)], ids=["held", "held and sliding", "sliding"]
 )
-def test_an_orbit_of_a_sphere_that_only_rubs_is_what_the_motion_settles_to(friction, gap_m, tmp_path):
+def test_the_orbit_of_a_sphere_without_impacts_agrees_with_the_settled_motion(friction, gap_m, tmp_path):
     """Without impacts the sphere is still not free: at rest on the structure it adds mass, and sliding it adds damping.
 
     A motion without impacts must not be taken for that of a free sphere, which rests.
@@ -358,7 +358,7 @@ def test_an_orbit_of_a_sphere_that_only_rubs_is_what_the_motion_settles_to(frict
     assert abs(one["imbalance_j"]) < 1e-9 * one["work_j"]
 
 
-def test_energy_per_cycle_closes_and_gives_the_loss_factor_of_dt(over_gap):
+def test_the_energy_per_cycle_closes_and_yields_the_loss_factor_of_dt(over_gap):
     for row in over_gap:
         assert abs(row["imbalance_j"]) <= 1e-8 * row["work_j"]
         assert row["loss_factor"] == pytest.approx(row["dt_loss_factor"], rel=1e-3)
@@ -418,7 +418,7 @@ def stuck(monkeypatch):
     return fail_once
 
 
-def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_others_go_on(stuck, tmp_path, capsys):
+def test_an_unresolvable_value_of_a_diagram_is_marked_and_the_others_continue(stuck, tmp_path, capsys):
     """The error of one value must not end the diagram."""
     stuck(TAKEN_ALONG)
     path = tmp_path / "study.yaml"
@@ -432,7 +432,7 @@ def test_a_value_that_cannot_be_resolved_after_it_has_settled_is_marked_and_the_
     assert "1 of 3 rows could not be resolved" in capsys.readouterr().out
 
 
-def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path, monkeypatch):
+def test_an_unresolvable_start_of_a_basin_is_marked_and_the_others_continue(tmp_path, monkeypatch):
     """The error of one start must not end the basin."""
     path = tmp_path / "study.yaml"
     path.write_text("basin: {sphere_position_m: [-0.002, 0.001, 0.002], sphere_speed_m_s: 0.5}")
@@ -453,7 +453,7 @@ def test_a_start_that_cannot_be_resolved_is_marked_and_the_others_go_on(tmp_path
     assert regimes == {-0.002: "periodic", 0.001: "failed", 0.002: "periodic"}
 
 
-def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
+def test_a_start_without_an_attractor_does_not_affect_the_others(stuck, tmp_path):
     """A start without an attractor must not prevent the plan of the basin."""
     stuck(TAKEN_ALONG)
     rows = study(tmp_path, "basin", "basin: {sphere_position_m: [-0.002, 0.002], sphere_speed_m_s: 0.5}")
@@ -461,7 +461,7 @@ def test_a_start_that_shows_no_attractor_leaves_the_others(stuck, tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "words"), [("section", []), ("orbit", ["no orbit: stuck"]), ("exponent", ["failed"])])
-def test_a_motion_that_cannot_be_resolved_after_it_has_settled_leaves_the_other_tasks(kind, words, stuck, tmp_path):
+def test_an_unresolvable_motion_does_not_affect_the_other_tasks(kind, words, stuck, tmp_path):
     """The error of one motion must not end the study."""
     stuck(TAKEN_ALONG)
     text = {"section": "{cycles: 1}", "orbit": "{starts: left}", "exponent": "{starts: left, cycles: 10, windows: 4}"}
@@ -506,14 +506,14 @@ def test_a_start_without_an_orbit_or_a_section_is_reported_and_not_in_the_legend
     assert {"centre", "gap_m 0.02, left"} & {*shown}
 
 
-def test_a_study_of_chaotic_starts_alone_has_no_result(tmp_path, capsys):
+def test_a_study_with_only_chaotic_starts_has_no_result(tmp_path, capsys):
     (tmp_path / "study.yaml").write_text("set: {barriers.gap_m: 0.008}\norbit: {}")
     assert main(["dynamics", "orbit", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "out")]) == 1
     assert "no orbit from left: the motion is chaotic" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("kind", ["orbit", "continue", "exponent"])
-def test_the_printed_table_and_the_data_tell_start_and_branch(kind, tmp_path, capsys):
+def test_the_printed_table_and_the_data_contain_start_and_branch(kind, tmp_path, capsys):
     (tmp_path / "small.yaml").write_text(SMALL)
     words = ["dynamics", kind, str(tmp_path / "small.yaml"), "--workers", "1", "--no-figures"]
     assert main([*words, "--output", str(tmp_path / "out")]) == 0
@@ -551,7 +551,7 @@ def test_the_shares_of_a_basin_have_an_interval_within_0_and_1(tmp_path, capsys)
 @pytest.mark.parametrize(
     ("way", "limits", "kinds"), [(-1.0, (11.0, 31.0), {"symmetry"}), (1.0, (11.0, 31.0), {"torus", "fold"})]
 )
-def test_an_unstable_orbit_is_called_after_the_change_that_it_comes_from(way, limits, kinds):
+def test_an_unstable_orbit_is_named_after_the_bifurcation_that_it_comes_from(way, limits, kinds):
     """The symmetric motion has a multiplier > 1 below 12.21 mm and beyond its fold: only the latter is a fold."""
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.020}), Settings())
     rig.reset()
@@ -563,7 +563,7 @@ def test_an_unstable_orbit_is_called_after_the_change_that_it_comes_from(way, li
 
 
 @pytest.mark.parametrize("gap", [0.01218, 0.01219])
-def test_the_event_of_a_symmetric_orbit_that_just_lost_its_symmetry(gap, tmp_path):
+def test_a_symmetric_orbit_that_just_lost_stability_has_the_right_event(gap, tmp_path):
     """The sphere starts where it comes so close to this orbit that it leaves it only after hundreds of cycles."""
     (row,) = study(tmp_path, "orbit", f"set: {{barriers.gap_m: {gap}}}\norbit: {{}}")
     assert row["multiplier_real"] > 1.0
@@ -584,7 +584,7 @@ def test_a_legend_is_within_its_figure(over):
     assert 0.0 <= box.x0 < box.x1 <= figure.bbox.width
 
 
-def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):
+def test_marching_follows_the_branch_until_it_changes_and_yields_its_dt(over_gap):
     torus = event(over_gap, "torus")
     last = marched(PLACE, "gap_m", np.arange(0.0300, 0.0311, 0.00001))
     assert last == pytest.approx(torus["value"], rel=1e-3)
@@ -600,7 +600,7 @@ def test_marching_keeps_the_branch_until_it_changes_and_gives_its_dt(over_gap):
         assert strobe.properties(found.z, found.p).dt == pytest.approx(reading.dt, rel=1e-6)
 
 
-def test_at_6_mm_four_impacts_per_cycle_are_an_island_between_two_folds(tmp_path):
+def test_four_impacts_per_cycle_at_6_mm_exist_between_two_folds(tmp_path):
     rows = study(
         tmp_path,
         "continue",
@@ -689,9 +689,7 @@ def test_a_chaotic_transient_is_judged_after_its_end():
         (0.009800, 0.009680, 0.000003),
     ],
 )
-def test_a_motion_that_slowly_leaves_an_orbit_that_has_become_unstable_is_not_called_chaotic(
-    first, last, step, tmp_path
-):
+def test_a_motion_that_slowly_leaves_an_unstable_orbit_is_not_called_chaotic(first, last, step, tmp_path):
     """The symmetric orbit loses its stability at 12.210 mm, and an orbit of five impacts in two cycles at 9.689 mm.
 
     Just below, neighbouring motions separate as long as the motion is near the old orbit, but it settles to a new one.
@@ -709,7 +707,7 @@ TWO_MOTIONS = ((9.1, 0.030), (9.1, 0.020), (9.1, 0.016), (9.0, 0.024), (9.2, 0.0
 
 
 @pytest.fixture(scope="module")
-def foretold(tmp_path_factory, request) -> dict[tuple[float, float], dict[str, float]]:
+def predicted(tmp_path_factory, request) -> dict[tuple[float, float], dict[str, float]]:
     """Return DT by the start position of the sphere, from orbits; `basin` must find the same motions."""
     folder, found = tmp_path_factory.mktemp("two"), {}
     for frequency, gap in TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:2]:
@@ -729,15 +727,15 @@ def foretold(tmp_path_factory, request) -> dict[tuple[float, float], dict[str, f
     return found
 
 
-def test_basin_and_continue_find_both_motions(foretold):
-    for both in foretold.values():
+def test_basin_and_continue_find_both_motions(predicted):
+    for both in predicted.values():
         assert both["centre"] > 1.1 * both["left"]
 
 
 @pytest.mark.ros
 @pytest.mark.pipeline
 @pytest.mark.timeout(500)
-def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request):
+def test_a_rig_over_ros_settles_to_the_predicted_motion(predicted, tmp_path, request):
     from impact_rig_studies.ros_campaign import ros_runner
 
     places = TWO_MOTIONS if request.config.getoption("--thorough") else TWO_MOTIONS[:1]
@@ -747,7 +745,7 @@ def test_a_rig_over_ros_ends_in_the_motion_foretold(foretold, tmp_path, request)
         for start in ("left", "centre")
     ]
     for one, outcome in ros_runner(tmp_path)(jobs):
-        wanted = foretold[one.frequencies_hz[0], one.gap_m][str(one.changes["sphere.start"])]
+        wanted = predicted[one.frequencies_hz[0], one.gap_m][str(one.changes["sphere.start"])]
         measured, doubt = outcome.rows["transmissibility"][0], outcome.rows["transmissibility_uncertainty"][0]
         assert measured == pytest.approx(wanted, abs=max(4.0 * doubt, 5e-3 * wanted)), one
 
@@ -767,7 +765,7 @@ exponent: {over: frequency_hz, values: [9.0, 9.1], cycles: 10, windows: 4}
 
 
 @pytest.mark.parametrize("kind", plan.KINDS)
-def test_what_was_interrupted_is_resumed_to_the_same_bytes(kind, tmp_path, capsys):
+def test_an_interrupted_study_resumes_to_the_same_bytes(kind, tmp_path, capsys):
     (tmp_path / "small.yaml").write_text(SMALL)
     words = [
         "dynamics",
@@ -842,12 +840,12 @@ def test_a_study_is_exported_as_its_table(several, kind, tmp_path):
         assert [cell or "nan" for cell in one.values()] == list(other.values())
 
 
-def test_what_is_not_stored_of_a_study_is_refused_with_what_is(several, tmp_path, capsys):
+def test_an_unknown_table_of_a_study_is_rejected_with_a_list_of_the_known_ones(several, tmp_path, capsys):
     assert main(["export", str(several), "orbit", str(tmp_path / "rows.csv")]) == 1
     assert f"{several} has no table 'orbit'; it has the tables bifurcation, basin" in capsys.readouterr().err
 
 
-def test_the_example_that_reads_finished_studies_runs(tmp_path, monkeypatch):
+def test_the_example_for_reading_finished_studies_runs(tmp_path, monkeypatch):
     """It is in docs/how-to/recording.md, and names its directories by strings."""
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")
@@ -881,7 +879,7 @@ def test_a_study_becomes_a_data_frame_and_a_dataset(several):
         assert float(place["dt"]) == pytest.approx(row["dt"], nan_ok=True)
 
 
-def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, capsys):
+def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys):
     text = "axes: {gap_m: [0.020, 0.031], sphere_position_m: [-0.0099, -0.005]}\n"
     (tmp_path / "map.yaml").write_text(text)
     words = ["map", str(tmp_path / "map.yaml"), "--workers", "1", "--no-figures", "--output", str(tmp_path / "out")]
@@ -926,6 +924,6 @@ def test_the_exponent_stands_beside_the_regime_in_a_map_that_asks(tmp_path, caps
         ("orbit", "orbit: [", "not a YAML file"),
     ],
 )
-def test_a_wrong_file_is_refused_by_name(kind, text, message, tmp_path):
+def test_an_invalid_file_is_rejected_by_name(kind, text, message, tmp_path):
     with pytest.raises(ConfigError, match=message):
         study(tmp_path, kind, text)

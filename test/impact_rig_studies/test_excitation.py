@@ -56,7 +56,7 @@ def hardware(**values: object) -> Hardware:
     return Hardware(LocalRig(settings | given))
 
 
-def test_a_scan_belongs_to_the_sample_it_is_read_with():
+def test_each_scan_belongs_to_the_sample_played_with_it():
     linear = hardware(sphere__present=False, instruments__ideal=True, daq__block_scans=100)
     exchange = Exchange(linear, 100)
     samples = np.random.default_rng(1).uniform(-0.1, 0.1, 1_000)
@@ -67,7 +67,7 @@ def test_a_scan_belongs_to_the_sample_it_is_read_with():
     assert linear.acquisition.delay_s(0, 0) == 0.0
 
 
-def test_reading_what_nobody_plays_ends_in_time():
+def test_reading_without_a_played_signal_ends_at_its_timeout():
     waiting = hardware(daq__block_scans=100)
     waiting.acquisition.start(waiting.output.start())
     waiting.output.write(np.zeros(150))
@@ -89,7 +89,7 @@ def test_a_frequency_response_is_within_its_uncertainty_of_the_closed_form(kind)
         assert np.mean(np.abs(part) < 2.0 * found.u_relative[lines]) >= 0.95
 
 
-def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_the_linear_rig():
+def test_the_frequency_response_with_the_sphere_agrees_with_the_linear_rig():
     """Only lines with a coherence above 0.9 count, because the sphere disturbs the others."""
     rig = hardware()
     *_, found = measure(rig, Excitation(), "base")
@@ -98,7 +98,7 @@ def test_with_the_sphere_it_is_a_linear_approximation_within_its_uncertainty_of_
     assert np.mean(np.abs(off) < 2.0 * found.u_relative[lines]) >= 0.95
 
 
-def test_random_error_without_calibration_covers_what_ideal_instruments_with_noise_only_show():
+def test_the_random_error_covers_the_deviations_of_ideal_instruments_with_noise():
     """Many frames of few lines: the scatter of the estimates agrees with their stated uncertainty."""
     rig = hardware(sphere__present=False)
     excitation = Excitation(frames=6, frame_s=4.0, low_hz=20.0)
@@ -127,7 +127,7 @@ def test_random_control_holds_a_density_of_the_base_acceleration():
     assert found.loops[-1] < found.loops[0]
 
 
-def test_random_control_ends_when_the_shaker_trips_and_keeps_what_it_had():
+def test_random_control_ends_at_a_trip_and_keeps_its_results():
     rig = hardware(sphere__present=False, shaker__travel_limit_m=2e-4)
     kept = []
     with pytest.raises(CommandError, match="over_travel"):
@@ -135,7 +135,7 @@ def test_random_control_ends_when_the_shaker_trips_and_keeps_what_it_had():
     rig.output.stop()
 
 
-def test_a_reading_beyond_what_is_borne_ends_a_test():
+def test_a_reading_beyond_the_abort_limit_ends_a_test():
     rig = Hardware(hardware(sphere__present=False).rig, {"base": 1e-5})
     with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit 1e-05 m, at scan"):
         list(control(rig, RandomPlan(averages=4)))
@@ -149,7 +149,7 @@ def test_the_shock_response_spectrum_of_a_half_sine_is_the_closed_form():
     assert found == pytest.approx(half_sine_spectrum(1.0, duration_s, frequency), rel=0.01)
 
 
-def test_a_compensated_pulse_leaves_nothing_behind():
+def test_a_compensated_pulse_ends_without_speed_or_displacement():
     pulse, rate_hz = Pulse(), 10_000
     acceleration, moved = pulse.acceleration(rate_hz), pulse.displacement(rate_hz)
     assert acceleration.max() == pytest.approx(pulse.peak, rel=1e-3)
@@ -159,7 +159,7 @@ def test_a_compensated_pulse_leaves_nothing_behind():
 
 @pytest.mark.parametrize("sphere", [False, True])
 @pytest.mark.parametrize("response", [Response.BASE, Response.SUPERIOR])
-def test_a_replicated_history_is_as_near_to_the_true_motion_as_is_stated(response, sphere):
+def test_the_error_of_a_replicated_history_agrees_with_the_stated_one(response, sphere):
     """The sensor's lag must be corrected: the reading may follow to 0.36 % while the base is wrong by 3.0 %.
 
     With the sphere, equal trials differ by up to 1.2 % unless each begins with the same motion of the sphere. Only
@@ -190,7 +190,7 @@ def test_a_burst_exceeds_neither_the_drive_nor_the_motion_of_the_history():
 
 
 @pytest.mark.parametrize(("repeated", "says"), [(0.0041, False), (0.012, True)])
-def test_an_error_that_a_repetition_does_not_reach_is_called_chance(repeated, says):
+def test_an_error_below_that_of_a_repetition_is_called_chance(repeated, says):
     wave = np.sin(np.arange(4_000) / 20.0)
     found = Replicated(
         rate_hz=2_000, asked=wave, reached=1.004 * wave, linear=wave, drive=wave, burst=0, lead=0, errors=(0.01, 0.004),
@@ -203,7 +203,7 @@ def test_an_error_that_a_repetition_does_not_reach_is_called_chance(repeated, sa
     assert "repetition" not in tell(attrs.evolve(found, repeated=None), "m").sentences[0]
 
 
-def test_the_base_makes_a_half_sine_and_what_is_stated_is_within_the_floor_of_the_truth():
+def test_the_base_makes_a_half_sine_and_the_stated_figures_are_true():
     stated, true = shocked(1)
     assert abs(true["peak_error"]) < 0.01
     assert abs(true["velocity_error"]) < 0.005
@@ -229,14 +229,14 @@ def test_the_high_pass_of_the_accelerometer_is_corrected():
         ("- 1", r"a mapping is needed"),
     ],
 )
-def test_a_wrong_plan_is_refused_with_key_and_file(tmp_path, text, says):
+def test_an_invalid_plan_is_rejected_with_key_and_file(tmp_path, text, says):
     file = tmp_path / "plan.yaml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=says):
         load(file, Pulse)
 
 
-def test_the_plans_that_come_along_are_the_defaults():
+def test_the_installed_plans_are_the_defaults():
     folder = Path(__file__).parents[2] / "config" / "excitation"
     assert load(folder / "shock.yaml", Pulse) == Pulse()
     assert load(folder / "random.yaml", RandomPlan) == RandomPlan()
@@ -273,7 +273,7 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
     assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01
 
 
-def test_a_run_with_a_gap_is_no_history(tmp_path):
+def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
     """Joined scans would play too fast by the missing time, and one scan would have no duration."""
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2_000, "daq.block_scans": 20}))
     scans = [("daq/scan", block.scan) for block in rig.advance(2_000_000_000)]

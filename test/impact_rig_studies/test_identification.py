@@ -66,7 +66,7 @@ LIMIT = 3.0
 GAPS = (0.004, 0.010)
 
 
-def test_the_curve_of_a_sensor_is_taken_where_its_readings_are():
+def test_sensor_nonlinearity_is_evaluated_at_the_readings():
     """An accelerometer reads ω² times the displacement: its range in m/s² must not be compared with a displacement."""
     info = Rig(RigConfig()).info().rows.copy()
     displacement = Gains.of(info).relative(1, np.array([0.004]), 9.1)
@@ -122,7 +122,7 @@ def foreign(rng, e):
 
 
 @pytest.mark.parametrize("draws", [4, pytest.param(40, marks=pytest.mark.slow)])
-def test_constants_are_found_within_the_stated_uncertainty_though_e_and_all_sensors_are_off(draws):
+def test_constants_are_found_within_their_uncertainty_despite_errors_of_e_and_sensors(draws):
     """e is wrong by its standard uncertainty of 0.02, in either direction; draws may differ only by chance."""
     off = []
     for seed in range(draws):
@@ -138,7 +138,7 @@ def test_constants_are_found_within_the_stated_uncertainty_though_e_and_all_sens
         assert np.all((spread > 0.67) & (spread < 1.33)), spread  # ± 11 % each, three times that
 
 
-def test_an_error_of_the_current_s_sensor_moves_the_force_factor_within_its_uncertainty():
+def test_an_error_of_the_current_sensor_shifts_k_f_within_its_uncertainty():
     """K_f follows the gain of this sensor, and no other data determine it, so u(K_f) is at least u(gain)."""
     rng = np.random.default_rng(5)
     gains = Gains.of(Rig(TRUTH).info().rows)
@@ -152,7 +152,7 @@ def test_an_error_of_the_current_s_sensor_moves_the_force_factor_within_its_unce
     assert abs(off[NAMES.index("m_1")]) < 2.0 * u[NAMES.index("m_1")], "the masses do not follow it"
 
 
-def test_a_fit_that_has_not_converged_is_called_consistent_by_nobody(monkeypatch):
+def test_a_fit_that_has_not_converged_is_not_called_consistent(monkeypatch):
     """If the rounds are used up before the fit converges, c_f may be wrong by 4.4 u, so the fit must raise an alarm."""
     rng = np.random.default_rng(0)
     measured = synthetic(rng, TRUTH, (0.004, 0.010))
@@ -172,7 +172,7 @@ def test_a_fit_without_reductions_converges_and_is_consistent(without):
         assert abs(found.log_constants[0] - logarithms(TRUTH)[0]) < LIMIT * found.information.u_relative[0]
 
 
-def test_a_phase_of_almost_half_a_turn_may_come_out_on_either_side_of_it():
+def test_a_phase_of_almost_half_a_turn_may_be_measured_with_either_sign():
     """Far above resonance, x_1 lags by half a turn; with noise it may lead by that, which is not a whole turn away."""
     measured = synthetic(np.random.default_rng(0))
     assert measured.sine is not None
@@ -186,7 +186,7 @@ def test_a_phase_of_almost_half_a_turn_may_come_out_on_either_side_of_it():
         assert found.consistent
 
 
-def test_what_is_wrongly_taken_as_known_raises_an_alarm():
+def test_a_wrong_known_value_raises_an_alarm():
     rng = np.random.default_rng(0)
     measured = synthetic(rng, TRUTH, (0.002, 0.010))
     exact = attrs.evolve(measured, u_restitution=0.0)
@@ -210,7 +210,7 @@ def test_a_weakly_chaotic_motion_does_not_contradict_a_periodic_measurement():
 
 
 @pytest.mark.parametrize(("gap", "slope"), [(0.006, 0.393427692), (0.010, 0.442785568)])
-def test_single_returns_tell_the_slope_of_an_orbit(gap, slope):
+def test_the_slope_of_an_orbit_follows_from_the_derivative_of_its_map(gap, slope):
     """The stroboscopic map gives d ln DT / d ln m_1; settled differences with a step of 1e-5 agree to 1e-8."""
     heavier = NAMES.index("m_1")
 
@@ -276,7 +276,7 @@ def test_a_gap_with_an_irregular_mean_adds_little_to_one_with_an_orbit():
     assert 5e-4 < both.irregular[0.0065] < 0.01
 
 
-def test_a_single_ratio_tells_nothing_about_the_restitution():
+def test_a_single_mass_ratio_gives_no_information_about_the_restitution():
     """It determines the masses at any e, also where the motion is chaotic and tells them less well."""
     found = identify(synthetic(np.random.default_rng(0), RigConfig(), (0.0065,)), RigConfig())
     assert found.restitution == pytest.approx(0.35, abs=0.1 * U_RESTITUTION)
@@ -284,7 +284,7 @@ def test_a_single_ratio_tells_nothing_about_the_restitution():
     assert abs(found.log_constants - logarithms(RigConfig()))[2] < LIMIT * found.information.u_relative[2]
 
 
-def test_an_explanation_of_the_data_is_found_though_it_holds_in_a_narrow_range_of_e(monkeypatch):
+def test_a_narrow_minimum_in_e_is_found(monkeypatch):
     """A minimum of χ² 0.0025 wide, as was seen, is deeper by 12 or more than a broad one, and may lie anywhere."""
     profile = fit._Profile(synthetic(np.random.default_rng(0), RigConfig(), (0.006,)), RigConfig())
     start = logarithms(RigConfig())
@@ -314,7 +314,7 @@ def test_stated_uncertainties_cover_the_truth():
     assert np.all(np.abs(np.mean(off, axis=0)) < 3.0 / np.sqrt(150) * 1.1), np.mean(off, axis=0)
 
 
-def test_without_impacts_only_ratios_of_masses_and_forces_are_known():
+def test_data_without_impacts_determine_only_ratios_of_masses_and_forces():
     found = identify(synthetic(np.random.default_rng(2)), RigConfig())
     assert found.information.determined("f_n")
     assert found.information.determined("ζ")
@@ -326,20 +326,20 @@ def test_without_impacts_only_ratios_of_masses_and_forces_are_known():
     assert ratio == pytest.approx(TRUTH.structure.mass_kg / TRUTH.shaker.force_factor_n_a, rel=0.02)
 
 
-def test_a_point_whose_current_is_unsound_tells_transmissibility_and_phase():
+def test_a_point_with_an_invalid_current_yields_transmissibility_and_phase():
     measured = synthetic(np.random.default_rng(2))
     measured.sine.base_per_a[1] = np.nan
     ratio = [identify(measured, RigConfig()).value(name) for name in ("m_1", "K_f")]
     assert ratio[0] / ratio[1] == pytest.approx(TRUTH.structure.mass_kg / TRUTH.shaker.force_factor_n_a, rel=0.02)
 
 
-def test_a_decay_alone_tells_frequency_and_damping_and_says_so():
+def test_a_decay_alone_yields_only_frequency_and_damping_and_this_is_reported():
     measured = attrs.evolve(synthetic(np.random.default_rng(3)), sine=None)
     found = identify(measured, RigConfig())
     assert [name for name in NAMES if found.information.determined(name)] == ["f_n", "ζ"]
 
 
-def test_what_a_nuisance_can_imitate_is_no_information():
+def test_an_effect_that_a_nuisance_parameter_can_imitate_adds_no_information():
     slopes = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 100.0], [0.0, 0.0]])
     nuisance = np.array([[1.0], [1.0], [0.0], [10.0]])  # a gain error of 10 %, common to the first two
     alone, shared = information(("a", "b"), slopes), information(("a", "b"), slopes, nuisance)
@@ -390,7 +390,7 @@ def test_a_measured_rig_is_identified_within_its_uncertainties(directory):
     assert found.chi_square < 2.0 * found.freedom
 
 
-def test_a_regime_without_counted_impacts_contradicts_nothing(directory):
+def test_a_regime_without_counted_impacts_contradicts_no_prediction(directory):
     """A light sphere strikes irregularly while the amplitude is constant: only an accelerometer can show this."""
     done = run.open_finished(directory)
     gains = Gains.of(Rig(done.campaign.base).info().rows)
@@ -404,7 +404,7 @@ def test_a_regime_without_counted_impacts_contradicts_nothing(directory):
     assert blind.ratio == counted.ratio
 
 
-def test_the_command_writes_what_it_found_and_what_it_could_not(directory, capsys):
+def test_the_command_writes_determined_and_undetermined_constants(directory, capsys):
     assert main(["identify", str(directory), "--without", "reductions"]) == 0
     output = capsys.readouterr().out
     assert output.splitlines()[-1] == str(directory)
@@ -424,7 +424,7 @@ def test_a_decay_is_measured_through_the_instruments():
     assert decay.damping_ratio == pytest.approx(TRUTH.structure.damping_ratio, abs=LIMIT * decay.u_damping_ratio)
 
 
-def test_a_pluck_with_the_sphere_on_is_refused(directory, tmp_path, capsys):
+def test_a_pluck_with_the_sphere_is_rejected(directory, tmp_path, capsys):
     """The result would be a ζ nearly twice that of the structure."""
     struck = Rig(TRUTH)
     struck.pluck(DISPLACEMENT_M)
@@ -437,7 +437,7 @@ def test_a_pluck_with_the_sphere_on_is_refused(directory, tmp_path, capsys):
     assert "the accelerometer shows impacts" in capsys.readouterr().err.replace("\n", " ")
 
 
-def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_path, capsys):
+def test_a_recorded_pluck_yields_the_result_of_a_pluck_by_the_command(directory, tmp_path, capsys):
     """`--decay RUN`: the last pluck of a run that the recorder wrote, or an error that says what is missing."""
     plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
     quiet = [("daq/info", plucked.info()), *(("rig/journal", table) for table in plucked.take_journal())]
@@ -469,7 +469,7 @@ def test_a_recorded_pluck_gives_what_a_pluck_of_our_own_gives(directory, tmp_pat
 
 
 @pytest.mark.parametrize("ended_by", ["lost blocks", "reset"])
-def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_path, ended_by):
+def test_a_recorded_decay_ends_at_the_first_gap_of_its_scans(tmp_path, ended_by):
     """Later scans do not belong to the decay: a jump would count as impacts, the next drive as vibration."""
     plucked = Rig(from_flat(TRUTH, {"sphere.present": False}))
     plucked.pluck(DISPLACEMENT_M)
@@ -489,7 +489,7 @@ def test_a_recorded_decay_ends_where_its_scans_do_not_follow_one_another(tmp_pat
     assert found[0].status is Status.OK
 
 
-def test_a_fit_to_the_paper_that_runs_out_tells_the_reductions_of_its_own_constants(monkeypatch):
+def test_an_unfinished_fit_to_the_paper_reports_the_reductions_of_its_constants(monkeypatch):
     """Constants and reductions in the result must belong to the same rig, also after the last step."""
     monkeypatch.setattr(paper_fit, "ITERATIONS", 1)
     found = paper_fit.fit_paper(RigConfig(), ("ζ",))

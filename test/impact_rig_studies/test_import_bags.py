@@ -119,7 +119,7 @@ def check(row: np.void) -> None:
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_two_imus(tmp_path: Path, storage: str) -> None:
+def test_two_imus_of_a_bag_are_imported(tmp_path: Path, storage: str) -> None:
     found = readers.read(bag(tmp_path, storage, two_imus()))
     assert found.signals["base/imu linear_acceleration.x"].unit == "m/s^2"
     assert found.signals["top/imu angular_velocity.z"].unit == "rad/s"
@@ -161,7 +161,9 @@ def numbers(kind: str) -> Stamped:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("storage", STORAGES)
-def test_messages_of_numbers(tmp_path: Path, storage: str, kind: str, field: str, unit: str) -> None:
+def test_messages_with_single_numbers_are_imported(
+    tmp_path: Path, storage: str, kind: str, field: str, unit: str
+) -> None:
     """18 variants."""
     found = readers.read(bag(tmp_path, storage, numbers(kind)))
     assert found.signals[f"laser{field}"].unit == unit
@@ -196,18 +198,18 @@ def clouds(rows: int, *, timed: bool) -> Stamped:
 
 @pytest.mark.parametrize(("rows", "timed"), [(50, True), (7, True), (1, True), (1, False)])
 @pytest.mark.parametrize("storage", STORAGES[:2])
-def test_blocks_of_scans(tmp_path: Path, storage: str, rows: int, timed: bool) -> None:
+def test_blocks_of_scans_are_imported(tmp_path: Path, storage: str, rows: int, timed: bool) -> None:
     found = readers.read(bag(tmp_path, storage, clouds(rows, timed=timed)))
     assert list(found.signals) == ["daq base", "daq laser"]
     check(dt_of(found, tmp_path, "channels: {base: {column: daq base, unit: m}, laser: {column: daq laser, unit: m}}"))
 
 
-def test_a_cloud_of_points_is_no_series(tmp_path: Path) -> None:
+def test_a_cloud_of_points_in_space_is_not_imported_as_a_series(tmp_path: Path) -> None:
     with pytest.raises(ImpactRigError, match="no signal of numbers: /daq: a point cloud without a column `time`"):
         readers.read(bag(tmp_path, "mcap", clouds(50, timed=False)))
 
 
-def test_topics_at_different_instants_are_brought_to_one_time(
+def test_topics_with_different_instants_are_resampled_to_common_times(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A laser at 100 Hz and an accelerometer at 125 Hz have no scans at the times of the other."""
@@ -234,7 +236,7 @@ def test_topics_at_different_instants_are_brought_to_one_time(
     assert row["phase"] == pytest.approx(PHASE, abs=2e-3)
 
 
-def test_a_stamp_that_is_a_little_later_is_a_skew(tmp_path: Path) -> None:
+def test_a_small_constant_delay_of_stamps_is_corrected_as_skew(tmp_path: Path) -> None:
     """A delay of less than half a period must be corrected: 3 ms at 9.1 Hz are ten degrees."""
 
     def both() -> Stamped:
@@ -255,7 +257,7 @@ def test_a_stamp_that_is_a_little_later_is_a_skew(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("left", [0.0, 0.3, 0.9])
-def test_a_bag_that_is_cut_short_is_an_error(tmp_path: Path, storage: str, left: float) -> None:
+def test_a_truncated_bag_is_an_error(tmp_path: Path, storage: str, left: float) -> None:
     path = bag(tmp_path, storage, two_imus())
     file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
     content = file.read_bytes()
@@ -264,6 +266,6 @@ def test_a_bag_that_is_cut_short_is_an_error(tmp_path: Path, storage: str, left:
         readers.read(path)
 
 
-def test_a_folder_without_a_bag_is_no_bag(tmp_path: Path) -> None:
+def test_a_folder_without_a_bag_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ImpactRigError, match=r"its suffix must be one of|is a directory"):
         readers.read(tmp_path)

@@ -184,7 +184,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], list[str]]] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_files_of_the_field_give_their_transmissibility(tmp_path: Path, name: str) -> None:
+def test_files_of_common_programs_yield_their_transmissibility(tmp_path: Path, name: str) -> None:
     """The results are within 3u, which chance exceeds once in 370 cases; u is small enough to reject wrong ones."""
     write, options = FILES[name]
     assert main(["import", str(write(tmp_path)), "--output", str(tmp_path / "run"), *options]) == 0
@@ -198,7 +198,7 @@ def test_files_of_the_field_give_their_transmissibility(tmp_path: Path, name: st
 @pytest.mark.parametrize("amplitude", [1.0, 0.1, 5.3e-5])
 @pytest.mark.parametrize("share", [3e-5, 1e-3, 0.02, 0.3])
 @pytest.mark.parametrize("offset", [0.0, 0.1234])
-def test_steps_are_found_in_whatever_digits_they_are_kept(amplitude: float, share: float, offset: float) -> None:
+def test_converter_steps_are_found_in_numbers_of_any_precision(amplitude: float, share: float, offset: float) -> None:
     """There are 24 steps, each in double precision, single precision and with nine digits."""
     step, offset = 1.01 * share * amplitude, offset * amplitude
     values = step * np.trunc(amplitude * motion()[2] / step) + offset
@@ -208,12 +208,12 @@ def test_steps_are_found_in_whatever_digits_they_are_kept(amplitude: float, shar
 
 
 @pytest.mark.parametrize("hz", [1.0, 5.0, 9.1, 12.5, 125 / 6, 125 / 4, 125 / 3, 62.5])
-def test_a_sine_in_all_its_digits_has_no_step(hz: float) -> None:
+def test_a_sine_in_full_precision_has_no_step(hz: float) -> None:
     assert step_of(np.sin(2 * np.pi * hz * motion()[0] + 0.0)) < 1e-6
     assert step_of(np.sin(2 * np.pi * hz * motion()[0] + np.pi / 6)) < 1e-6
 
 
-def test_a_run_and_its_report_say_where_it_is_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_imported_run_and_its_report_state_their_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path / "own.csv", "time [s],base [mm],laser", last="\nend")
     assert main(["import", str(path), "--output", str(tmp_path / "run")]) == 0
     capsys.readouterr()

@@ -106,7 +106,7 @@ ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-32")
 @pytest.mark.parametrize(
     ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")]
 )
-def test_text_tables_of_any_locale(separator: str, decimal: str, encoding: str, times: str) -> None:
+def test_text_tables_of_any_locale_are_read(separator: str, decimal: str, encoding: str, times: str) -> None:
     """600 variants: six pairs of signs, five code pages, twenty notations of time."""
     heading, show = TIMES[times]
     rows = [separator.join((heading, "base [µm]", "laser [mm]"))]
@@ -159,7 +159,7 @@ def rows_of(head: str, separator: str = ",") -> str:
         ("Time (s) Run #1,base (mm) Run #1,laser (mm) Run #1", ["base Run #1", "laser Run #1"], ["mm", "mm"]),
     ],
 )
-def test_headings_and_units(head: str, names: list[str], units: list[str]) -> None:
+def test_headings_are_split_into_name_and_unit(head: str, names: list[str], units: list[str]) -> None:
     found = text_table(rows_of(head))
     assert [list(found.signals), [one.unit for one in found.signals.values()]] == [names, units]
     assert since_start(found) == pytest.approx(TIME_S)
@@ -168,13 +168,13 @@ def test_headings_and_units(head: str, names: list[str], units: list[str]) -> No
 @pytest.mark.parametrize(
     "heading", ["time [s] base [mm] laser [mm]", "# time [s] base (mm) laser [mm]", "time  base  laser mm"]
 )
-def test_headings_of_columns_that_blanks_separate(heading: str) -> None:
+def test_headings_of_columns_separated_by_blanks_are_read(heading: str) -> None:
     found = text_table(rows_of("# measured by me\n" + heading, " "))
     assert list(found.signals) == ["base", "laser"]
     assert [one.unit for one in found.signals.values()][1] == "mm"
 
 
-def test_a_remark_in_the_first_row_is_no_heading() -> None:
+def test_a_remark_in_the_first_row_is_not_taken_for_a_heading() -> None:
     rows = rows_of("time [s],base [mm],laser [mm],Remark").replace("\n", ",\n").replace("Remark,", "Remark")
     rows = rows.replace("0.000,0.0000,-0.6442,", "0.000,0.0000,-0.6442,begin")
     found = text_table(rows)
@@ -183,13 +183,13 @@ def test_a_remark_in_the_first_row_is_no_heading() -> None:
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])
-def test_a_separator_at_the_end_of_each_row_but_of_the_heading(separator: str) -> None:
+def test_a_trailing_separator_of_rows_without_one_in_the_heading_is_ignored(separator: str) -> None:
     head = separator.join(("time [s]", "base [mm]", "laser [mm]"))
     found = text_table(head + "\n" + rows_of("", separator).replace("\n", separator + "\n"))
     assert list(found.signals) == ["base", "laser"]
 
 
-def test_milliseconds_beside_a_clock_of_whole_seconds_belong_to_it() -> None:
+def test_a_column_of_milliseconds_is_added_to_a_clock_of_whole_seconds() -> None:
     at = [BEGIN + dt.timedelta(seconds=float(t)) for t in TIME_S]
     lines = [f"{one:%Y-%m-%d %H:%M:%S},{one.microsecond // 1000},{k}" for k, one in enumerate(at)]
     found = text_table("\n".join(["Time,Millisecond,base [mm]", *lines]))
@@ -197,14 +197,14 @@ def test_milliseconds_beside_a_clock_of_whole_seconds_belong_to_it() -> None:
     assert since_start(found) == pytest.approx(TIME_S)
 
 
-def test_times_that_are_not_understood_are_the_reason(tmp_path: Path) -> None:
+def test_unreadable_times_are_reported_as_the_reason(tmp_path: Path) -> None:
     lines = [f"2024:134:{t:.3f},{a:.4f},{b:.4f}" for t, a, b in zip(TIME_S, BASE, LASER, strict=True)]
     found = text_table("\n".join(["Time,base [mm],laser [mm]", *lines]))
     with pytest.raises(ImpactRigError, match=r"the times of column 'Time' are not understood: '2024:134:0.000'"):
         convert(found, guess(found))
 
 
-def test_a_table_of_spectra_is_refused_as_such() -> None:
+def test_a_table_of_spectra_is_rejected_as_such() -> None:
     found = text_table("\n".join(["Frequency [Hz],base [mm],laser [mm]", *(f"{0.5 * k},{k},1" for k in range(40))]))
     with pytest.raises(ImpactRigError, match=r"holds no time response: base: spectrum, frequency from 0 Hz"):
         convert(found, guess(found))
@@ -217,7 +217,7 @@ def test_a_table_of_spectra_is_refused_as_such() -> None:
         "-1.$", "1.#QNAN0", "nan(0x7ff8)", "9.91E+37", "-9.91e37", "#REF!", "OVLD", "<NA>", "NaT", "*****", ".",
     ],
 )  # fmt: skip
-def test_what_stands_for_no_number_is_none(cell: str) -> None:
+def test_placeholders_for_missing_numbers_are_read_as_nan(cell: str) -> None:
     """A `#` within a cell must not begin a comment: 1.#QNAN is not 1.0."""
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
     lines[20] = f"0.152,{cell},0.5"
@@ -227,7 +227,7 @@ def test_what_stands_for_no_number_is_none(cell: str) -> None:
 
 
 @pytest.mark.parametrize("cell", ["1.#INF", "inf", "-Infinity", "-1.#INF", "-1.#INF00", "9.9E+37", "-9.9E37", "1e400"])
-def test_infinity_is_no_finite_number(cell: str) -> None:
+def test_infinity_is_not_read_as_a_finite_number(cell: str) -> None:
     lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
     lines[20] = f"0.152,{cell},0.5"
     value = text_table("\n".join(lines)).signals["base"].values[19]
@@ -241,7 +241,7 @@ def test_infinity_is_no_finite_number(cell: str) -> None:
         ("1'234.5", 1234.5), ("1\u202f234.5", 1234.5),
     ],
 )  # fmt: skip
-def test_notations_of_numbers(cell: str, value: float) -> None:
+def test_numbers_in_any_notation_are_read(cell: str, value: float) -> None:
     lines = rows_of("time [s];base [mm];laser [mm]", ";").splitlines()
     lines[20] = f"0.152;{cell};0.5"
     assert text_table("\n".join(lines)).signals["base"].values[19] == pytest.approx(value, rel=1e-12)
@@ -260,13 +260,13 @@ def test_a_word_among_numbers_is_named_with_its_line(cell: str, why: str) -> Non
 @pytest.mark.parametrize(
     "last", ["Rate 125, overflows 0", "End of data", "# 3 overflows", "0.480,0.1", "Mean,0.1,0.2,0.3"]
 )
-def test_lines_after_the_table_are_left_out_and_named(last: str) -> None:
+def test_lines_after_the_table_are_ignored_and_reported(last: str) -> None:
     found = text_table(rows_of("time [s],base [mm],laser [mm]") + last + "\n\n")
     assert len(found.signals["base"].values) == COUNT
     assert list(found.left_out) == ["line 62 and after"]
 
 
-def test_a_table_without_headings_keeps_its_first_row() -> None:
+def test_the_first_row_of_a_table_without_headings_is_kept() -> None:
     lines = [
         f"{stamps('%Y-%m-%dT%H:%M:%S.%f')(t)},{a:.3f},{b:.3f}" for t, a, b in zip(TIME_S, BASE, LASER, strict=True)
     ]
@@ -299,7 +299,7 @@ def test_a_table_without_headings_keeps_its_first_row() -> None:
         ("Sample rate: 51200 Hz\nSample interval: 1.95e-5 s\nbase,laser,x", 51200.0),
     ],
 )  # fmt: skip
-def test_a_rate_in_the_lines_above_a_table(head: str, rate_hz: float) -> None:
+def test_a_rate_in_the_lines_above_a_table_is_read(head: str, rate_hz: float) -> None:
     found = text_table(rows_of(head))
     assert found.signals["base"].rate_hz == pytest.approx(rate_hz)
 
@@ -320,14 +320,14 @@ def test_a_stated_rate_has_the_decimal_sign_of_the_table(stated: str, rate_hz: f
         ("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz", "it states several: 51200 Hz, 125 Hz"),
     ],
 )  # fmt: skip
-def test_no_single_rate_above_a_table(head: str, note: str) -> None:
+def test_unrelated_or_several_rates_above_a_table_are_not_used(head: str, note: str) -> None:
     one = text_table(rows_of(f"{head}\nbase,laser,x")).signals["base"]
     assert (one.rate_hz, one.abscissa.note) == (None, note)
 
 
 @pytest.mark.parametrize(("separator", "sign"), [("\t", ","), (";", ","), (";", "."), ("\t", "."), (";", " ")])
 @pytest.mark.parametrize("seconds", ["{:.3f}", "{:.0f}"])
-def test_whole_numbers_with_groups_of_digits(separator: str, sign: str, seconds: str) -> None:
+def test_integers_with_groups_of_digits_are_read(separator: str, sign: str, seconds: str) -> None:
     """The values below 1000 show that `1,234` has groups of digits, even if a single cell has them."""
     values = np.round(1000.4 * BASE / np.abs(BASE).max())
     for whole in (values, 70 * values):
@@ -343,7 +343,7 @@ def test_whole_numbers_with_groups_of_digits(separator: str, sign: str, seconds:
         assert since_start(found) == pytest.approx(TIME_S)
 
 
-def test_a_column_that_is_added_later_is_the_reason() -> None:
+def test_a_column_that_appears_later_is_reported_as_the_reason() -> None:
     head, *lines = rows_of("time [s],base [mm],laser [mm]").splitlines()
     later = [f"{line},0.5" for line in lines[9:]]
     assert text_table("\n".join([head, *lines[:9], *later])).left_out == {
@@ -353,7 +353,7 @@ def test_a_column_that_is_added_later_is_the_reason() -> None:
         text_table("\n".join([head, *(200 * lines[:1]), *(10 * later)]))
 
 
-def test_separate_columns_of_date_and_time_are_one() -> None:
+def test_separate_columns_of_date_and_time_are_combined() -> None:
     at = [BEGIN + dt.timedelta(seconds=float(t)) for t in TIME_S]
     lines = ["Date,Time,base [mm]", *(f"{one:%d.%m.%Y},{one:%H:%M:%S.%f},{k}" for k, one in enumerate(at))]
     found = text_table("\n".join(lines))
@@ -361,13 +361,13 @@ def test_separate_columns_of_date_and_time_are_one() -> None:
     assert since_start(found) == pytest.approx(TIME_S)
 
 
-def test_an_unknown_unit_of_time_is_not_seconds() -> None:
+def test_an_unknown_unit_of_time_is_not_taken_for_seconds() -> None:
     found = text_table(rows_of("time [ticks],base [mm],laser [mm]"))
     abscissa = found.signals["base"].abscissa
     assert (abscissa.kind, abscissa.unit) == (AbscissaKind.OTHER, "ticks")
 
 
-def test_a_table_over_frequency_is_a_spectrum() -> None:
+def test_a_table_over_frequency_is_recognised_as_a_spectrum() -> None:
     lines = ["Frequency [Hz],base [mm]", *(f"{0.5 * k},{k}" for k in range(40))]
     one = text_table("\n".join(lines)).signals["base"]
     assert (one.kind, one.abscissa.kind) == (SignalKind.SPECTRUM, AbscissaKind.FREQUENCY)
@@ -377,7 +377,7 @@ def test_a_table_over_frequency_is_a_spectrum() -> None:
 @pytest.mark.parametrize(
     "text", ["base (", "base [(", "x" * 10 + "((", "sampling rate ", "fs ch 1 ", "fs 1 x ", "1:1:1:", '"', "µ ", "1,1."]
 )
-def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: int) -> None:
+def test_a_long_heading_is_read_in_linear_time(text: str, size: int) -> None:
     """A quadratic expression would need hours here, and end at the time limit of the suite."""
     long = (text + "a" * 50) * (size // (len(text) + 50))
     headings.split_unit(long)
@@ -390,14 +390,14 @@ def test_a_long_heading_costs_time_in_proportion_to_its_length(text: str, size: 
 
 
 @pytest.mark.parametrize("text", ["fs ch 1 ", "fs 1 x ", "sample rate (1 "])
-def test_many_places_for_a_rate_cost_little_time(text: str) -> None:
+def test_many_lines_that_may_contain_a_rate_cost_little_time(text: str) -> None:
     """Each word there is looked up as a unit, which took 6 s for 220 lines."""
     begin = time.process_time()
     headings.stated_rate([text * 40] * 220)
     assert time.process_time() - begin < 3.0
 
 
-def test_many_columns_are_refused_before_they_are_read(tmp_path: Path) -> None:
+def test_too_many_columns_are_rejected_before_they_are_read(tmp_path: Path) -> None:
     (tmp_path / "wide.csv").write_text("\n".join([",".join(["1.5"] * 200_000)] * 4), encoding="ascii")
     with pytest.raises(ImpactRigError, match="200000 columns in a file, more than 4096"):
         readers.read(tmp_path / "wide.csv")
@@ -410,7 +410,9 @@ def test_many_columns_are_refused_before_they_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("x_columns", ["One", "Multi", "No"])
 @pytest.mark.parametrize("segments", [1, 2])
 @pytest.mark.parametrize("unit", ["mm", "g"])
-def test_labview_measurement_files(separator: str, decimal: str, x_columns: str, segments: int, unit: str) -> None:
+def test_labview_measurement_files_are_read(
+    separator: str, decimal: str, x_columns: str, segments: int, unit: str
+) -> None:
     """36 variants of the format."""
     sign = "\t" if separator == "Tab" else ","
 
@@ -472,7 +474,9 @@ def read_uff(tmp_path: Path, content: bytes) -> ImportedSignals:
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0), ("NONE", 1.0)])
 @pytest.mark.parametrize("spacing", [0, 1])
 @pytest.mark.parametrize("binary", [0, 1])
-def test_abscissas_of_universal_files(tmp_path: Path, unit: str, factor: float, spacing: int, binary: int) -> None:
+def test_abscissas_of_universal_files_are_read(
+    tmp_path: Path, unit: str, factor: float, spacing: int, binary: int
+) -> None:
     """20 variants."""
     changes = {
         "abscissa_axis_units_lab": unit, "abscissa_spacing": spacing, "binary": binary, "x": TIME_S / factor,
@@ -486,7 +490,7 @@ def test_abscissas_of_universal_files(tmp_path: Path, unit: str, factor: float, 
 
 @pytest.mark.parametrize("function", range(29))
 @pytest.mark.parametrize(("quantity_code", "unit"), [(17, "s"), (18, "Hz"), (9, "N")])
-def test_only_functions_of_time_are_time_responses(
+def test_only_functions_of_time_are_imported_as_time_responses(
     tmp_path: Path, function: int, quantity_code: int, unit: str
 ) -> None:
     """87 variants: a spectrum over Hz must not be imported as a record over seconds."""
@@ -504,7 +508,7 @@ def test_only_functions_of_time_are_time_responses(
 @pytest.mark.parametrize(
     ("code", "label", "unit"), [(0, "N", "mm"), (1, "NONE", "mm"), (13, "N", "mm/N"), (13, "NONE", "mm/quantity 13")]
 )
-def test_a_response_per_force_is_no_motion(tmp_path: Path, code: int, label: str, unit: str) -> None:
+def test_a_response_per_force_is_not_imported_as_a_motion(tmp_path: Path, code: int, label: str, unit: str) -> None:
     content = uff(tmp_path, orddenom_spec_data_type=code, orddenom_axis_units_lab=label)
     found = read_uff(tmp_path, content)
     assert found.signals["base"].unit == unit
@@ -512,7 +516,7 @@ def test_a_response_per_force_is_no_motion(tmp_path: Path, code: int, label: str
         convert(found, guess(found))
 
 
-def test_a_universal_file_that_states_nothing_is_no_time_response(tmp_path: Path) -> None:
+def test_a_universal_file_without_quantities_is_not_a_time_response(tmp_path: Path) -> None:
     content = uff(tmp_path, abscissa_spec_data_type=0, abscissa_axis_units_lab="NONE", abscissa_axis_lab="NONE")
     assert list(read_uff(tmp_path, content).signals) == ["base"]  # its function type is that of a time response
     lines = content.split(b"\n")
@@ -521,7 +525,7 @@ def test_a_universal_file_that_states_nothing_is_no_time_response(tmp_path: Path
         read_uff(tmp_path, b"\n".join(lines))
 
 
-def test_a_universal_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
+def test_a_truncated_universal_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ImpactRigError, match="the file may be cut off"):
         read_uff(tmp_path, uff(tmp_path)[:700])
 
@@ -542,7 +546,7 @@ def test_rates_of_divided_clocks_are_exact(divisor: int) -> None:
     [("0.000977", 1024), ("0.000488", 2048), ("0.001", 1000), ("0.008", 125), ("1.953125E-5", 51200),
      ("0,000122", 8192), ("1", 1)],
 )  # fmt: skip
-def test_a_step_of_few_digits_is_a_likely_rate(step: str, rate_hz: float) -> None:
+def test_a_time_step_of_few_digits_is_completed_to_a_likely_rate(step: str, rate_hz: float) -> None:
     """LabVIEW prints six decimals of Delta_X: a rate of 1024 Hz must not become 1023.54."""
     value = float(step.replace(",", "."))
     assert likely_rate(1.0 / value, half_digit(step) / value**2) == rate_hz
@@ -571,7 +575,7 @@ def wav_file(values: np.ndarray, width: int, *, floating: bool = False, claimed:
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
 @pytest.mark.parametrize(("width", "floating"), [*((width, False) for width in range(1, 9)), (4, True), (8, True)])
-def test_samples_of_every_width_are_parts_of_full_scale(width: int, floating: bool, channels: int) -> None:
+def test_samples_of_every_width_are_scaled_to_full_scale(width: int, floating: bool, channels: int) -> None:
     """30 variants; samples of 36 to 64 bits must not become 1e17."""
     values = np.stack([0.5 * LASER, 0.5 * BASE, 0.9 * LASER][:channels], axis=1)
     found = wav.read(PATH, wav_file(values, width, floating=floating))
@@ -581,7 +585,7 @@ def test_samples_of_every_width_are_parts_of_full_scale(width: int, floating: bo
         assert found.signals[f"channel_{j}"].rate_hz == RATE_HZ
 
 
-def test_a_wav_file_shorter_than_its_header_says_so() -> None:
+def test_a_wav_file_shorter_than_its_header_is_reported() -> None:
     found = wav.read(PATH, wav_file(np.stack([BASE, LASER], axis=1), 2, claimed=90))
     assert len(found.signals["channel_0"].values) == COUNT
     assert found.left_out == {"end of the file": "the header claims 90 scans, 60 are there: 33% is missing"}
@@ -605,7 +609,7 @@ def tdms_file(channels: dict[str, tuple[np.ndarray, dict[str, Any]]]) -> bytes:
 
 @pytest.mark.parametrize("unit", ["g", "m/s^2", "mm", "V"])
 @pytest.mark.parametrize("key", ["unit_string", "NI_UnitDescription"])
-def test_waveforms_of_tdms_files(tmp_path: Path, unit: str, key: str) -> None:
+def test_waveforms_of_tdms_files_are_read(tmp_path: Path, unit: str, key: str) -> None:
     about = {"wf_increment": 1 / RATE_HZ, "wf_start_offset": 0.0, key: unit}
     (tmp_path / "own.tdms").write_bytes(tdms_file({"base": (BASE, about), "laser": (LASER, about)}))
     found = readers.read(tmp_path / "own.tdms")
@@ -638,7 +642,7 @@ def test_tdms_channels_that_start_at_different_times_are_not_taken_for_simultane
         ({"Time": (TIME_S, {"wf_increment": 1.0, "unit_string": "s"})}, {}, None, ""),
     ],
 )
-def test_a_tdms_increment_of_1_is_a_doubtful_rate(
+def test_a_tdms_increment_of_1_is_reported_as_a_doubtful_rate(
     tmp_path: Path, others: dict[str, Any], stated: dict[str, Any], rate_hz: float | None, note: str
 ) -> None:
     """Programs write `wf_increment` 1 for a waveform without a time step."""
@@ -649,7 +653,7 @@ def test_a_tdms_increment_of_1_is_a_doubtful_rate(
     assert one.time_s == (pytest.approx(TIME_S) if others else None)
 
 
-def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
+def test_a_tdms_channel_of_times_is_used_as_the_time(tmp_path: Path) -> None:
     (tmp_path / "own.tdms").write_bytes(tdms_file({"Time (ms)": (1e3 * TIME_S, {}), "base": (BASE, {})}))
     found = readers.read(tmp_path / "own.tdms")
     assert list(found.signals) == ["base"]
@@ -660,7 +664,7 @@ def test_a_tdms_channel_of_times(tmp_path: Path) -> None:
     ("place", "about"),
     [("root", {"Sampling Rate [Hz]": 125.0}), ("group", {"SampleRate": "125"}), ("channel", {"sample_interval_ms": 8})],
 )
-def test_a_rate_among_the_properties_of_a_tdms_file(tmp_path: Path, place: str, about: dict[str, Any]) -> None:
+def test_a_rate_among_the_properties_of_a_tdms_file_is_used(tmp_path: Path, place: str, about: dict[str, Any]) -> None:
     nptdms = pytest.importorskip("nptdms")
     own = {name: about if name == place else {} for name in ("root", "group", "channel")}
     with nptdms.TdmsWriter(str(tmp_path / "own.tdms")) as writer:
@@ -670,7 +674,7 @@ def test_a_rate_among_the_properties_of_a_tdms_file(tmp_path: Path, place: str, 
     assert readers.read(tmp_path / "own.tdms").signals["base"].rate_hz == pytest.approx(RATE_HZ)
 
 
-def test_times_in_a_tdms_group_of_their_own(tmp_path: Path) -> None:
+def test_times_in_a_separate_tdms_group_are_used(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(str(tmp_path / "own.tdms")) as writer:
         times = nptdms.ChannelObject("times", "Time", TIME_S, properties={"unit_string": "s"})
@@ -690,7 +694,7 @@ def test_times_in_a_tdms_group_of_their_own(tmp_path: Path) -> None:
         ("offset", 1, None),
     ],
 )  # fmt: skip
-def test_names_of_a_rate_or_a_period(name: str, value: float, rate_hz: float | None) -> None:
+def test_properties_with_a_rate_or_a_period_are_recognised(name: str, value: float, rate_hz: float | None) -> None:
     found = headings.rate_hz(name, value)
     assert found == (None if rate_hz is None else pytest.approx(rate_hz))
 
@@ -700,7 +704,7 @@ def test_names_of_a_rate_or_a_period(name: str, value: float, rate_hz: float | N
 
 @pytest.mark.parametrize("nested", [False, True])
 @pytest.mark.parametrize("time", ["time", "t", "fs", "dt"])
-def test_matlab_structs(tmp_path: Path, time: str, nested: bool) -> None:
+def test_matlab_structs_are_read(tmp_path: Path, time: str, nested: bool) -> None:
     io_ = pytest.importorskip("scipy.io")
     axis = {"fs": RATE_HZ, "dt": 1 / RATE_HZ}.get(time, TIME_S)
     content = {time: axis, "base": BASE, "laser": LASER}
@@ -711,7 +715,7 @@ def test_matlab_structs(tmp_path: Path, time: str, nested: bool) -> None:
     assert (1.0 / np.median(np.diff(one.time_s)) if one.rate_hz is None else one.rate_hz) == pytest.approx(RATE_HZ)
 
 
-def test_matlab_7_3(tmp_path: Path) -> None:
+def test_files_of_matlab_7_3_are_read(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "own.mat", "w", userblock_size=512) as file:
         for name, values in (("time", TIME_S), ("base", BASE), ("laser", LASER)):
@@ -754,7 +758,7 @@ def test_hdf5_never_opens_another_file(tmp_path: Path, how: str, suffix: str) ->
         readers.read(own)
 
 
-def test_a_small_archive_does_not_become_a_large_one(tmp_path: Path) -> None:
+def test_a_small_archive_is_not_expanded_to_a_large_one(tmp_path: Path) -> None:
     """Less than a megabyte could become 1.6 GB."""
     with zipfile.ZipFile(tmp_path / "own.npz", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as one:
         np.lib.format.write_array_header_1_0(one, {"descr": "<f8", "fortran_order": False, "shape": (20_000_000,)})
@@ -764,7 +768,7 @@ def test_a_small_archive_does_not_become_a_large_one(tmp_path: Path) -> None:
         readers.read(tmp_path / "own.npz")
 
 
-def test_a_small_table_of_one_value_does_not_become_a_large_one(tmp_path: Path) -> None:
+def test_a_small_file_with_a_repeated_value_is_not_expanded_to_a_large_one(tmp_path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     table = pa.table({"a": pa.array(np.zeros(20_000_000))})
@@ -781,7 +785,7 @@ print(len(read(Path(sys.argv[1])).signals))
 
 
 @pytest.mark.parametrize("before", ["", "import pyarrow\n"])
-def test_a_long_table_is_read_whatever_reserves_the_memory_of_pyarrow(tmp_path: Path, before: str) -> None:
+def test_a_long_table_is_read_with_any_memory_pool_of_pyarrow(tmp_path: Path, before: str) -> None:
     """Other memory pools than the system's reserve many addresses: 100,000 rows would exceed the reader's limit."""
     pytest.importorskip("pyarrow")
     rows = np.random.default_rng(1).integers(0, 4096, (4, 100_000)) / 4096.0  # a file that is small for its rows
@@ -795,7 +799,7 @@ def test_a_long_table_is_read_whatever_reserves_the_memory_of_pyarrow(tmp_path: 
 
 
 @pytest.mark.parametrize("suffix", sorted(readers.FORMATS))
-def test_what_is_no_file_or_empty_is_refused_at_once(tmp_path: Path, suffix: str) -> None:
+def test_an_empty_or_irregular_file_is_rejected_at_once(tmp_path: Path, suffix: str) -> None:
     """Reading a pipe would wait forever."""
     os.mkfifo(tmp_path / f"pipe{suffix}")
     (tmp_path / f"empty{suffix}").touch()
@@ -805,7 +809,7 @@ def test_what_is_no_file_or_empty_is_refused_at_once(tmp_path: Path, suffix: str
             readers.read(tmp_path / f"{name}{suffix}")
 
 
-def test_a_reader_that_does_not_end_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def endless(path: Path, content: bytes) -> ImportedSignals:
         for _ in itertools.count():
             pass
@@ -838,7 +842,9 @@ UNITS = {
 @pytest.mark.parametrize(
     ("unit", "si", "factor"), [(unit, si, factor) for si, known in UNITS.items() for unit, factor in known.items()]
 )
-def test_units_as_instruments_print_them(monkeypatch: pytest.MonkeyPatch, unit: str, si: str, factor: float) -> None:
+def test_units_in_the_notation_of_instruments_are_read(
+    monkeypatch: pytest.MonkeyPatch, unit: str, si: str, factor: float
+) -> None:
     """None of these units needs pint, which the run tier lacks."""
     monkeypatch.setitem(__import__("sys").modules, "pint", None)
     assert quantity(unit) == si
@@ -846,12 +852,12 @@ def test_units_as_instruments_print_them(monkeypatch: pytest.MonkeyPatch, unit: 
 
 
 @pytest.mark.parametrize("unit", ["°", "raw", "N", "kg", "counts", "m/s^3", "", "9**9**9**9", "x" * 300, "m**m", "A/m"])
-def test_units_of_other_quantities_are_none_of_ours(unit: str) -> None:
+def test_units_of_other_quantities_are_not_accepted(unit: str) -> None:
     assert quantity(unit) is None
     assert unit_factor(unit, "m") is None
 
 
-def test_doubtful_units_say_what_they_were_taken_for() -> None:
+def test_the_interpretation_of_doubtful_units_is_reported() -> None:
     assert [bool(doubt(unit)) for unit in ("G", "gs", "mg", "g", "mm")] == [True, True, True, False, False]
 
 
@@ -863,7 +869,7 @@ def test_doubtful_units_say_what_they_were_taken_for() -> None:
         ("10mV/G", 0.01 / 9.80665, "m/s^2"),
     ],
 )  # fmt: skip
-def test_sensitivities(text: str, volts: float, unit: str) -> None:
+def test_sensitivities_are_parsed(text: str, volts: float, unit: str) -> None:
     found = Sensitivity.parse(text)
     assert found is not None
     assert found.unit == unit
@@ -873,21 +879,21 @@ def test_sensitivities(text: str, volts: float, unit: str) -> None:
 @pytest.mark.parametrize(
     "text", ["500", "mV/mm", "500 mm/mV", "0 mV/mm", "5 mV/kg", "1e999 V/m", "a V/m", "5 V/" + "m" * 99]
 )
-def test_what_is_no_sensitivity(text: str) -> None:
+def test_invalid_sensitivities_are_rejected(text: str) -> None:
     assert Sensitivity.parse(text) is None
 
 
 # --- other containers
 
 
-def test_a_table_of_records_in_an_archive(tmp_path: Path) -> None:
+def test_a_table_of_records_in_an_archive_is_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "own.npz", table=np.rec.fromarrays([TIME_S, BASE, LASER], names="time,base,laser"))
     found = readers.read(tmp_path / "own.npz")
     assert list(found.signals) == ["base", "laser"]
     assert since_start(found) == pytest.approx(TIME_S)
 
 
-def test_types_of_parquet_that_numpy_lacks(tmp_path: Path) -> None:
+def test_types_of_parquet_that_numpy_lacks_are_read(tmp_path: Path) -> None:
     """A dictionary must not load pandas in the reader's process, which has a time limit."""
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     decimals = arrow.array([decimal.Decimal(f"{one:.6f}") for one in BASE], arrow.decimal128(12, 6))
@@ -898,13 +904,13 @@ def test_types_of_parquet_that_numpy_lacks(tmp_path: Path) -> None:
     assert found.texts["state"][0] == "on"
 
 
-def test_netcdf_of_the_classic_format_is_named(tmp_path: Path) -> None:
+def test_classic_netcdf_is_rejected_by_name(tmp_path: Path) -> None:
     (tmp_path / "own.nc").write_bytes(b"CDF\1" + bytes(200))
     with pytest.raises(ImpactRigError, match="classic format"):
         readers.read(tmp_path / "own.nc")
 
 
-def test_an_extensible_wav_file_of_the_other_byte_order() -> None:
+def test_an_extensible_wav_file_of_the_other_byte_order_is_read() -> None:
     """The first group of the GUID has the byte order of the file; otherwise, the encoding is read as 0."""
     form = struct.pack(">HHIIHH", 0xFFFE, 1, 125, 500, 4, 32) + struct.pack(">HHII", 22, 32, 0, 3) + bytes(12)
     data = LASER.astype(">f4").tobytes()
@@ -913,7 +919,7 @@ def test_an_extensible_wav_file_of_the_other_byte_order() -> None:
     assert found.signals["channel_0"].values == pytest.approx(LASER, abs=1e-7)
 
 
-def test_a_channel_of_another_time_base_is_guessed_and_refused_with_a_remedy(tmp_path: Path) -> None:
+def test_a_channel_with_another_time_base_is_recognised_and_rejected_with_a_remedy(tmp_path: Path) -> None:
     files = {"base": (BASE, {"wf_increment": 0.008, "unit_string": "mm"})}
     files["laser"] = (LASER, {"wf_increment": 0.004, "unit_string": "mm"})
     (tmp_path / "own.tdms").write_bytes(tdms_file(files))
@@ -932,7 +938,7 @@ def test_a_channel_of_another_time_base_is_guessed_and_refused_with_a_remedy(tmp
         ("8Hz_10Hz", None, None), ("ohne_Kugel_2kHz", 2000.0, 0.0), ("amp3mm", None, 3e-3), ("91 hz", 91.0, None),
     ],
 )  # fmt: skip
-def test_frequency_and_gap_of_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:
+def test_frequency_and_gap_are_read_from_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:
     """Numbers that contradict each other give no guess; a gap with its name is read."""
     assert file_names.frequency_hz(stem) == hz
     assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))

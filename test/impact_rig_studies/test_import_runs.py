@@ -70,7 +70,7 @@ def last_row(run: Path) -> np.void:
 
 @pytest.mark.parametrize("base", ["mm", "mm/s", "g"])
 @pytest.mark.parametrize("laser", ["µm", "m/s", "mm/s2"])
-def test_any_two_kinds_of_motion_give_the_transmissibility_of_displacements(
+def test_any_two_kinds_of_motion_yield_the_transmissibility_of_displacements(
     tmp_path: Path, base: str, laser: str
 ) -> None:
     """The ratio is formed at the drive frequency, with the power of it by which the quantities differ."""
@@ -83,7 +83,7 @@ def test_any_two_kinds_of_motion_give_the_transmissibility_of_displacements(
 
 
 @pytest.mark.parametrize("wrong", [[1499], [0], [3, 700], [301, 302, 303]])
-def test_a_base_without_some_readings_has_a_drive_frequency(tmp_path: Path, wrong: list[int]) -> None:
+def test_a_base_with_missing_readings_has_a_drive_frequency(tmp_path: Path, wrong: list[int]) -> None:
     found = source({"base": "mm", "laser": "mm"})
     found.signals["base"].values[wrong] = np.nan
     run = imported(found)
@@ -107,7 +107,7 @@ def test_the_amplitude_of_the_drive_has_its_unit(
     assert float(shown[0]) == pytest.approx(size, rel=2e-3)
 
 
-def test_a_signal_of_words_is_named_with_the_reason(tmp_path: Path) -> None:
+def test_a_signal_of_text_is_named_with_the_reason(tmp_path: Path) -> None:
     (tmp_path / "own.csv").write_text("time [s],base,laser [mm]\n" + "\n".join(f"{k},0x{k:X}F,0.5" for k in range(50)))
     found = readers.read(tmp_path / "own.csv")
     mapping = attrs.evolve(guess(found), channels=with_channel({}, "base=base mm", found.signals))
@@ -117,7 +117,9 @@ def test_a_signal_of_words_is_named_with_the_reason(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("hz", [9.1, 15.6])
 @pytest.mark.parametrize("late_s", [0.0, 0.003])
-def test_interpolation_between_few_scans_a_cycle_keeps_the_amplitude(tmp_path: Path, hz: float, late_s: float) -> None:
+def test_interpolation_between_few_scans_per_cycle_keeps_the_amplitude(
+    tmp_path: Path, hz: float, late_s: float
+) -> None:
     """At 8 scans a cycle a cubic makes the laser 6e-4 too small, many times the stated uncertainty."""
     rate_hz = 125.0
     times = np.arange(1500) / rate_hz
@@ -133,7 +135,7 @@ def test_interpolation_between_few_scans_a_cycle_keeps_the_amplitude(tmp_path: P
     assert row["phase"] == pytest.approx(PHASE, abs=5e-5)
 
 
-def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:
+def test_sensitivities_can_be_given_by_option(tmp_path: Path) -> None:
     found = source({"base": "g", "laser": "mm"})
     volts = {"ai 0": 0.1 * found.signals["base"].values, "ai 1": 0.5 * found.signals["laser"].values}
     found = ImportedSignals(
@@ -149,7 +151,9 @@ def test_sensors_with_sensitivities_by_option(tmp_path: Path) -> None:
 @pytest.mark.parametrize("noise", [1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize(("rate_hz", "seconds"), [(206.4516, 30.0), (2000.0, 20.0), (25_600.0, 8.0)])
 @pytest.mark.parametrize("unit", ["g", "m/s^2", "mm/s", "mm"])
-def test_noise_at_low_frequencies_is_not_the_drive(unit: str, rate_hz: float, seconds: float, noise: float) -> None:
+def test_noise_at_low_frequencies_is_not_taken_for_the_drive(
+    unit: str, rate_hz: float, seconds: float, noise: float
+) -> None:
     """As displacement, white noise of an accelerometer is largest at the lowest line, which is not the drive."""
     found = source({"base": unit, "laser": unit}, rate_hz, seconds)
     signals = {}
@@ -200,7 +204,7 @@ def test_rates_that_are_not_whole_need_no_resampling(tmp_path: Path, rate_hz: fl
     assert main(["info", str(run)]) == 0
 
 
-def test_a_scan_missing_amid_exact_times_stays_missing() -> None:
+def test_a_scan_missing_among_exact_times_stays_missing() -> None:
     times = np.delete(np.arange(1200) / 100, 500)
     signals = {"base": Signal(np.sin(times), "m", Abscissa(AbscissaKind.TIME, "s", values=times))}
     found = imported(ImportedSignals(Path("own.csv"), "text table", signals))
@@ -208,7 +212,7 @@ def test_a_scan_missing_amid_exact_times_stays_missing() -> None:
 
 
 @pytest.mark.parametrize("seconds", [1.5, 3.0])
-def test_a_short_record_gives_a_row_that_says_so(
+def test_a_short_record_yields_a_row_with_the_reason(
     tmp_path: Path, seconds: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = write(imported(source({"base": "m", "laser": "m"}, 1000.0, seconds)), tmp_path / "run")
@@ -226,7 +230,7 @@ def test_a_record_of_three_cycles_is_too_short(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("units", [{"accelerometer": "g"}, {"laser": "mm"}, {"base": "g"}, {"base": "m", "laser": "g"}])
 @pytest.mark.parametrize(("rate_hz", "seconds", "hz"), [(125.0, 12.0, HZ), (10.0, 150.0, 0.2), (1.0, 400.0, 0.05)])
-def test_every_face_takes_any_channels_and_any_rate(
+def test_every_command_accepts_any_channels_and_any_rate(
     tmp_path: Path,
     units: dict[str, str],
     rate_hz: float,
@@ -266,7 +270,7 @@ def test_a_figure_without_impacts_is_filled_by_its_traces(tmp_path: Path) -> Non
     assert longest < 60 * len(empty) / 675
 
 
-def test_frequency_response_without_a_base_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_frequency_response_without_a_base_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = write(imported(source({"laser": "m"})), tmp_path / "run")
     assert main(["analyze", str(run), "--frf"]) == 1
     assert "has no channel base" in capsys.readouterr().err
@@ -309,7 +313,7 @@ def test_doubtful_units_are_shown_before_anything_is_written(
     assert not (tmp_path / "run").exists()
 
 
-def test_two_accelerometers_in_two_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_accelerometers_are_imported_with_two_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nptdms = pytest.importorskip("nptdms")
     times = np.arange(1500) / 125
     with nptdms.TdmsWriter(str(tmp_path / "two.tdms")) as writer:
@@ -330,7 +334,7 @@ def test_two_accelerometers_in_two_commands(tmp_path: Path, capsys: pytest.Captu
     )
 
 
-def test_a_missing_channel_is_said_instead_of_the_next_command(
+def test_a_missing_channel_is_reported_instead_of_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     times = np.arange(1500) / 125.0
@@ -342,7 +346,7 @@ def test_a_missing_channel_is_said_instead_of_the_next_command(
     assert "impact-rig analyze" not in said
 
 
-def test_a_run_keeps_what_was_assumed_and_left_out(tmp_path: Path) -> None:
+def test_a_run_stores_the_assumptions_and_the_omitted_columns(tmp_path: Path) -> None:
     (tmp_path / "own.csv").write_text(
         "time,base,laser\n" + "".join(f"{k / 125},{k % 14},{k % 14}\n" for k in range(200)) + "end\n", encoding="utf-8"
     )

@@ -102,7 +102,9 @@ EXACT = ("csv", "npz", "parquet", "uff", "mat", "nc")
 
 
 @pytest.mark.parametrize("kind", EXACT)
-def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: Path, tmp_path: Path, kind: str) -> None:
+def test_an_exported_and_imported_run_is_measured_identically_bit_for_bit(
+    recorded: Path, tmp_path: Path, kind: str
+) -> None:
     """Scans, measurements and impacts are equal, with the commands and the calibration of the run."""
     source = tmp_path / f"scans.{kind}"
     with open_run(recorded) as run:
@@ -135,7 +137,7 @@ def test_what_is_exported_and_imported_is_measured_alike_bit_for_bit(recorded: P
         assert "imported" in str(live)
 
 
-def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
+def test_an_imported_free_decay_is_identified_identically(tmp_path: Path) -> None:
     """An imported decay has no journal: it begins at the largest distance of the structure, not at the pluck."""
     rig = LocalRig({"daq.rate_hz": RATE_HZ, "daq.block_scans": 200, "sphere.present": False})
     rig.run(seconds=0.2)
@@ -152,7 +154,7 @@ def test_a_free_decay_is_identified_alike(tmp_path: Path) -> None:
         assert abs(getattr(found, name) - getattr(expected, name)) < getattr(expected, f"u_{name}")
 
 
-def test_a_wav_file_gives_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
+def test_a_wav_file_yields_the_transmissibility_within_its_resolution(recorded: Path, tmp_path: Path) -> None:
     """16 bits full scale: steps of 0.3 and 0.4 µm; with three channels there are no statements about impacts."""
     write_wav(tmp_path / "sound.wav", scans(recorded))
     source = readers.read(tmp_path / "sound.wav")
@@ -208,7 +210,7 @@ def test_headings_units_and_file_names_are_understood(
     assert found.mapping.frequency == (9.1 if "9.1Hz" in name else None)
 
 
-def test_a_mapping_says_what_headings_do_not(tmp_path: Path) -> None:
+def test_a_mapping_supplies_what_headings_omit(tmp_path: Path) -> None:
     """Voltages with a sensitivity, sign and offset, frequency and gap from columns, and a given uniform rate."""
     head = "ai0,ai1,f,g"
     source = table(tmp_path, lines(lambda k: f"{k},{k},{9 if k < 20 else 10},{0 if k < 30 else 0.004}", head))
@@ -257,7 +259,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         ("some words\n", "{}", "none of its first 201 lines is a row of numbers"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said(tmp_path: Path, text: str, mapping: str, why: str) -> None:
+def test_an_invalid_measurement_is_rejected_with_the_reason(tmp_path: Path, text: str, mapping: str, why: str) -> None:
     def imported() -> None:
         source = table(tmp_path, text)
         convert(source, refined(guess(source), mapping))
@@ -274,7 +276,7 @@ def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tm
     assert found.rows["laser"] == pytest.approx(MILLIMETRE * np.arange(len(found.rows)) / 200)
 
 
-def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> None:
+def test_resampling_neither_fills_gaps_nor_moves_commands(tmp_path: Path) -> None:
     """A cubic must not bridge seconds without a scan, nor move commands if the rate of the times changes."""
     times = np.concatenate([np.arange(100) / 100, 1 + np.arange(200) / 200, 4 + np.arange(100) / 200])
     rows = [f"{t:.4f},{np.sin(20 * t):.9f},{9 if t < 1 else 10 if t < 4.25 else 11}" for t in times]
@@ -288,7 +290,7 @@ def test_resampling_neither_fills_holes_nor_moves_commands(tmp_path: Path) -> No
         convert(broken, refined(guess(broken), "resample_hz: 400"))
 
 
-def test_a_sheet_of_calibration_says_where_scan_0_is_once(tmp_path: Path) -> None:
+def test_a_calibration_sheet_does_not_shift_scan_0_twice(tmp_path: Path) -> None:
     """A `since_start` in the run, whose stamp is already that of scan 0, would put scan 0 12 s earlier."""
     source = table(tmp_path, lines(lambda k: f"{2 * 10**10 + k * 10**7},{k},{k}", "stamp_ns,laser,base"))
     sheet = table(tmp_path, "stamp_ns,name,since_start\n12000000000,laser,11.5\n12000000000,base,11.5\n", "sheet.csv")
@@ -307,7 +309,7 @@ def test_commands_and_labels_of_a_file_that_spans_weeks_keep_their_instants(tmp_
     assert f"{late_s * 10**9}" in found.labels[1]
 
 
-def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
+def test_a_value_unknown_over_many_scans_is_reported_once(tmp_path: Path) -> None:
     """NaN differs from NaN; this must not cause a remark and a command for every scan."""
     values = ["nan", "nan", "9", "9", "nan", "nan"]
     source = table(
@@ -318,14 +320,14 @@ def test_what_is_unknown_over_many_scans_is_said_once(tmp_path: Path) -> None:
     assert len(found.labels) == 3
 
 
-def test_a_file_where_the_run_should_be_is_said(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_run_is_reported(tmp_path: Path) -> None:
     """The message must name the file, instead of a NotADirectoryError."""
     source = table(tmp_path, STEADY)
     with pytest.raises(ImpactRigError, match="is a file, not a directory"):
         write(convert(source, refined(guess(source), MM)), tmp_path / "own.csv")
 
 
-def test_a_mapping_reads_back_as_it_was_written() -> None:
+def test_a_mapping_is_read_back_as_written() -> None:
     """Numbers such as 1e-06 must not become texts, or the mapping that a run keeps is rejected."""
     laser = Channel(
         column='"1e-6"', unit="mm", scale=2e-7, calibration={"noise": 1e-6, "range_high": 1e16, "lag": 1.5e-7}
@@ -364,7 +366,7 @@ def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans
         convert(source, guess(source), table(tmp_path, commands.replace("6,", "nan,"), "drive.csv"))
 
 
-def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
+def test_an_export_cut_within_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
     """The first stamp is that of the block, not of the first row: commands would be shifted by up to a block."""
 
     def row(k: int) -> str:
@@ -386,7 +388,7 @@ def test_an_export_that_was_cut_amid_a_block_begins_with_its_first_row(tmp_path:
         ("time;laser;laser (raw)", ["laser", "laser (raw)"], ["", "raw"]),
     ],
 )
-def test_columns_of_one_name_are_told_apart_and_keep_their_units(
+def test_columns_with_equal_names_are_distinguished_and_keep_their_units(
     tmp_path: Path, head: str, names: list[str], units: list[str]
 ) -> None:
     """The first must not have the unit of the last; if names differ only in brackets, both are kept."""
@@ -409,7 +411,7 @@ def test_a_file_that_crashes_its_library_is_an_error(tmp_path: Path, monkeypatch
         readers.read(tmp_path / "own.npz")
 
 
-def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
+def test_a_run_is_drawn_with_the_channels_that_it_has(tmp_path: Path) -> None:
     """The measurement has only an accelerometer; a warning of matplotlib about an empty spectrum is an error here."""
     np.savez(tmp_path / "own.npz", a=np.sin(0.3 * np.arange(4000)), rate=1000.0)
     words = ["--channel", "accelerometer=a", "m/s^2", "--frequency", "9", "--output", str(tmp_path / "run")]
@@ -418,7 +420,7 @@ def test_a_run_is_drawn_by_the_channels_that_it_has(tmp_path: Path) -> None:
     assert {one.stem for one in (tmp_path / "figures").iterdir()} == {"time_traces", "spectrum"}
 
 
-def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path: Path) -> None:
+def test_a_stated_rate_takes_precedence_over_rounded_times(tmp_path: Path) -> None:
     """Times of single precision, added up, are wrong by a sixth of a period after 4,096 values."""
     times = np.arange(4096) / 1280 * (1 - 4e-5)
     np.savez(tmp_path / "own.npz", time=times, laser=times, rate=1280.0)
@@ -426,7 +428,7 @@ def test_a_rate_that_the_file_states_counts_more_than_its_rounded_times(tmp_path
     assert convert(source, guess(source)).index.tolist() == list(range(4096))
 
 
-def test_the_command_shows_before_it_writes_and_makes_a_campaign(
+def test_the_command_previews_the_import_before_it_writes_a_campaign(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with open_run(recorded) as run:
@@ -449,7 +451,7 @@ def test_the_command_shows_before_it_writes_and_makes_a_campaign(
     assert main([*words]) == 1, "nothing is overwritten"
 
 
-def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
+def test_an_uncertainty_below_a_thousandth_is_not_shown_as_zero(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """For a DT far above resonance, or of a base in a wrong unit, 0.064 ± 0.000 would mean that it is exact."""
@@ -465,7 +467,7 @@ def test_an_uncertainty_below_a_thousandth_is_not_shown_as_none(
 
 
 @pytest.mark.parametrize("more", [[], ["--campaign"]])
-def test_two_files_of_one_name_are_refused_before_one_is_written(
+def test_two_files_of_one_name_are_rejected_before_any_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
 ) -> None:
     """No file of a rejected campaign is written, so none blocks a later attempt."""
@@ -480,7 +482,7 @@ def test_two_files_of_one_name_are_refused_before_one_is_written(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_dry_run_says_why_a_column_is_not_used_and_that_the_gap_is_unknown(
+def test_a_dry_run_reports_why_a_column_is_unused_and_that_the_gap_is_unknown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Columns were `not used` without a reason; second times and a missing gap had no line."""
@@ -519,7 +521,7 @@ def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str =
     return "\n".join(["time,laser [mm],base [mm]" + (",gap" if gap else ""), *rows]) + "\n"
 
 
-def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(
+def test_properties_found_in_the_data_of_a_sweep_may_differ_between_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Steps that differed in the last digits were once `another calibration`; rates and gaps have the same weakness."""
@@ -559,7 +561,7 @@ def test_what_is_found_in_the_data_of_a_sweep_need_not_agree(
         ("channel", "base", "current", "the list of channels is laser, current, but laser, base in one"),
     ],
 )
-def test_what_is_stated_of_the_sensors_of_a_sweep_must_agree(
+def test_stated_properties_of_the_sensors_of_a_sweep_must_agree(
     tmp_path: Path, column: str, one: object, two: object, said: str
 ) -> None:
     runs = []
@@ -590,7 +592,7 @@ def test_what_is_stated_of_the_sensors_of_a_sweep_must_agree(
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("there", [False, True])
-def test_an_import_that_fails_leaves_nothing_in_the_way_of_the_next(
+def test_a_failed_import_leaves_no_file_that_blocks_the_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], options: list[str], second: str, said: str,
     *, there: bool,
 ) -> None:  # fmt: skip
@@ -619,7 +621,7 @@ def test_an_import_that_fails_leaves_nothing_in_the_way_of_the_next(
 @pytest.mark.parametrize(
     ("first", "second"), [("gap_6mm_9.1Hz_run1", "gap_6mm_9.1Hz_run5"), ("gap_6mm_9.0Hz", "gap_6mm_9.1Hz")]
 )
-def test_two_files_of_one_point_of_a_sweep_are_refused(
+def test_two_files_of_the_same_sweep_point_are_rejected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], first: str, second: str
 ) -> None:
     """The last replaced the others without a word, also where the name of one contradicts its data."""
@@ -640,7 +642,9 @@ def test_two_files_of_one_point_of_a_sweep_are_refused(
     assert found == {(0.006, 9.1): 20, (0.003, 9.1): 15, (0.006, 9.3): 5}
 
 
-def test_a_campaign_names_each_point_that_never_settled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_names_each_point_without_a_settled_measurement(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A file without a settled measurement vanished: the campaign of the others looked complete."""
     text, (head, *rows) = readings(1.0, 1e-3), readings(2.0, 1e-3, frequency_hz=9.3).splitlines()
     (tmp_path / "one.csv").write_text(text, encoding="utf-8")
@@ -659,7 +663,7 @@ def test_a_campaign_names_each_point_that_never_settled(tmp_path: Path, capsys: 
     assert [point.frequency_hz for point in open_finished(tmp_path / "out").points] == [9.1]
 
 
-def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_data_that_an_import_omits_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     turn = 2.0 * np.pi * 9.0 * np.arange(20_000) / RATE_HZ
     base, laser = 1e-3 * np.sin(turn), 1e-2 * np.sin(turn)
     np.savez(tmp_path / "own.npz", base=base, laser=laser, fft=np.exp(1j * turn), cube=np.zeros((2, 3, 4)), dt=-1.0)
@@ -675,7 +679,7 @@ def test_what_an_import_leaves_out_is_told(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(("seconds", "laser", "reason"), [(0.3, 1e-3, "too_few_cycles"), (30.0, 0.0, "constant")])
-def test_sines_without_a_dt_say_so_and_are_no_success(
+def test_sines_without_a_dt_are_reported_and_fail_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], seconds: float, laser: float, reason: str
 ) -> None:
     turn = 2.0 * np.pi * 9.1 * np.arange(round(seconds * RATE_HZ)) / RATE_HZ

@@ -58,7 +58,7 @@ def test_theta_solves_the_two_conditions(e):
     assert np.isnan(manifold.theta(0.9999 * 2.0 / manifold.gap_per_amplitude_at_fold))
 
 
-def test_the_published_fold_of_the_paper_s_rig():
+def test_the_fold_of_the_rig_of_the_paper_is_the_published_one():
     assert Manifold(FLORES).gap_per_amplitude_at_fold == pytest.approx(6.28, abs=0.01)
 
 
@@ -68,7 +68,7 @@ def half_period_map(e: float, theta: float) -> np.ndarray:
     return np.array([[e, -math.pi * (1.0 + e) / 2.0], [e * 2.0 * q / (math.pi * (1.0 + e)), e - q]])
 
 
-def test_at_a_given_current_a_branch_is_stable_on_one_side_of_its_largest_gap(nominal):
+def test_a_branch_at_constant_current_is_stable_on_one_side_of_its_largest_gap(nominal):
     """Two motions merge there: the determinant of the slow flow is zero if the gap is stationary, its trace is not."""
     motions = prediction.branch(nominal, 8.6, current_a=CURRENT_A)
     largest = int(np.argmax(motions.gap_m))
@@ -86,7 +86,7 @@ def test_the_bounds_of_stability_are_those_of_the_map(e):
     assert np.linalg.det(half_period_map(e, 1.1)) == pytest.approx(e * e)
 
 
-def test_symmetry_breaks_where_continuation_says():
+def test_symmetry_breaks_where_continuation_predicts():
     """12.210 mm at 9.1 Hz; the sphere alone would stay symmetric down to 11.99 mm."""
     found = prediction.branch(RigConfig(), 9.1, current_a=0.52)
     assert found.gap_m[found.kind == "symmetry"].max() == pytest.approx(12.210e-3, rel=2e-3)
@@ -108,14 +108,14 @@ def test_a_torus_ends_the_motion_before_its_fold(gap_mm, kind):
 
 
 @pytest.mark.parametrize("number", [2, 4, 6, 9])
-def test_the_model_s_multipliers_agree_with_what_is_predicted(number):
+def test_the_multipliers_of_the_model_agree_with_the_prediction(number):
     found = judged(60, number)
     assert (found["predicted"] == "stable") == found["stable"]
     assert found["predicted_dt"] == pytest.approx(found["dt"], rel=0.01)
 
 
 @pytest.mark.parametrize("held", ["current_a", "base_m", "superior_m"])
-def test_at_a_gap_stands_the_branch_s_motion(nominal, held):
+def test_the_prediction_at_a_gap_is_the_motion_of_the_branch(nominal, held):
     value = {"current_a": CURRENT_A, "base_m": 100e-6, "superior_m": 5e-3}[held]
     along = prediction.branch(nominal, 9.1, **{held: value})
     wanted = along.take(np.array([400]))
@@ -126,7 +126,7 @@ def test_at_a_gap_stands_the_branch_s_motion(nominal, held):
     assert getattr(wanted, held) == pytest.approx(value, rel=1e-12)
 
 
-def test_curves_break_where_no_motion_exists(nominal):
+def test_curves_are_interrupted_where_no_motion_exists(nominal):
     frequencies = np.arange(8.5, 9.8, 0.05)
     lines = prediction.curves(nominal, frequencies, 29e-3, current_a=CURRENT_A)
     assert lines
@@ -138,7 +138,7 @@ def test_curves_break_where_no_motion_exists(nominal):
     assert reached.max() < 9.4
 
 
-def test_on_the_backbone_the_superior_base_is_a_quarter_cycle_behind(nominal):
+def test_the_superior_base_lags_a_quarter_cycle_on_the_backbone(nominal):
     line = prediction.backbone(nominal, 6e-3)
     assert np.degrees(line.phase_rad) == pytest.approx(-90.0, abs=1e-9)
     assert line.gap_m[0] / line.superior_m[0] == pytest.approx(
@@ -149,7 +149,7 @@ def test_on_the_backbone_the_superior_base_is_a_quarter_cycle_behind(nominal):
     assert np.abs(again.theta - line.theta[200]).min() < 1e-9
 
 
-def test_where_branches_end_and_where_damping_is_best(nominal):
+def test_the_ends_of_branches_and_the_best_damping_are_predicted(nominal):
     for frequency, low, high in ((8.8, 27e-3, 28e-3), (9.1, 30e-3, 32e-3), (9.4, 26e-3, 28e-3)):
         branch = prediction.branch(nominal, frequency, current_a=CURRENT_A)
         assert low < prediction.widest_gap_m(branch) < high
@@ -160,7 +160,7 @@ def test_where_branches_end_and_where_damping_is_best(nominal):
 
 
 @pytest.mark.parametrize(("frequency_hz", "gap_mm"), [(8.8, 20), (9.1, 12.5), (9.1, 29), (9.4, 25)])
-def test_the_mechanics_do_what_is_predicted(nominal, frequency_hz, gap_mm):
+def test_the_simulated_mechanics_agree_with_the_prediction(nominal, frequency_hz, gap_mm):
     config = rig(barriers={"gap_m": gap_mm * 1e-3})
     ratio, speed, impacts = settled(config, frequency_hz, 220)
     found = prediction.at(config, frequency_hz, gap_mm * 1e-3, current_a=CURRENT_A)
@@ -172,7 +172,7 @@ def test_the_mechanics_do_what_is_predicted(nominal, frequency_hz, gap_mm):
     assert found.impact_speed_m_s[0] == pytest.approx(speed, rel=3e-3)
 
 
-def test_without_recoil_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier():
+def test_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier():
     """A rig with ten times the mass and the force is the same linear rig; m/m_1 is a tenth."""
     nominal, plain, recoiling = RigConfig(), [], []
     names = ("force_factor_n_a", "suspension_stiffness_n_m", "damping_n_s_m", "armature_mass_kg", "base_mass_kg")
@@ -200,12 +200,12 @@ def test_without_recoil_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier
         ({"contact": {"law": "hertz"}}, "restitution"),
     ],
 )
-def test_what_it_does_not_hold_for_is_refused(changes, message):
+def test_rigs_that_the_prediction_does_not_cover_are_rejected(changes, message):
     with pytest.raises(ConfigError, match=message):
         prediction.branch(rig(**changes), 9.1, current_a=CURRENT_A)
 
 
 @pytest.mark.parametrize("held", [{}, {"current_a": 0.5, "base_m": 1e-4}, {"current_a": 0.0}])
-def test_one_thing_is_held(nominal, held):
+def test_a_branch_needs_exactly_one_positive_current_or_base_amplitude(nominal, held):
     with pytest.raises(ConfigError):
         prediction.branch(nominal, 9.1, **held)

@@ -35,7 +35,7 @@ def by_test(frequency_hz: float, gap_m: float) -> Compared:
 @pytest.mark.parametrize(
     ("frequency_hz", "gap_mm"), [(8.8, 12.0), (8.8, 26.0), (9.1, 12.5), (9.1, 30.0), (9.4, 12.0), (9.4, 26.0)]
 )
-def test_two_symmetric_impacts_are_as_predicted(frequency_hz, gap_mm):
+def test_motions_with_two_symmetric_impacts_agree_with_the_prediction(frequency_hz, gap_mm):
     found = by_test(frequency_hz, gap_mm * 1e-3)
     assert found.two_per_cycle
     assert found.predicted_dt == pytest.approx(found.dt, rel=WITHIN)
@@ -43,13 +43,13 @@ def test_two_symmetric_impacts_are_as_predicted(frequency_hz, gap_mm):
 
 
 @pytest.mark.parametrize(("frequency_hz", "gap_mm"), [(8.8, 28.0), (9.4, 28.0), (9.1, 32.0)])
-def test_where_no_motion_is_predicted_none_is_found(frequency_hz, gap_mm):
+def test_no_motion_with_two_impacts_is_found_where_none_is_predicted(frequency_hz, gap_mm):
     found = by_test(frequency_hz, gap_mm * 1e-3)
     assert not found.predicted
     assert not found.two_per_cycle
 
 
-def test_an_unsettled_point_says_so():
+def test_an_unsettled_point_is_reported():
     one = attrs.evolve(job(9.1, 20e-3), current_a=40.0)
     found = compared(one, execute(one))
     assert np.isnan(found.dt)

@@ -57,7 +57,7 @@ def measured(calibration, case, gains=(0.0, 0.0), curves=(0.0, 0.0), noise=(0.0,
 @pytest.mark.parametrize("linearity_m", [0.0, 30e-6, 300e-6])
 @pytest.mark.parametrize("repetitions", [1, 3])
 @pytest.mark.repeats
-def test_the_uncertainty_covers_the_truth_when_calibrations_are_drawn_anew(linearity_m, repetitions):
+def test_the_uncertainty_covers_the_truth_for_random_calibrations(linearity_m, repetitions):
     """Gains and curves are drawn for each experiment, equal in both measurements; noise is drawn for each row."""
     rng, calibration = np.random.default_rng(1), certificate(laser_linearity_m=linearity_m)
     inside = []
@@ -72,7 +72,7 @@ def test_the_uncertainty_covers_the_truth_when_calibrations_are_drawn_anew(linea
     assert 0.945 < np.mean(inside) < 0.976  # 0.954 if noise dominates, 0.966 if the curve does
 
 
-def test_errors_of_the_sensitivities_cancel():
+def test_errors_of_the_sensitivities_cancel_in_a_reduction():
     calibration = certificate(laser_linearity_m=0.0)
     clean, wrong = (
         reduction(measured(calibration, 0, gains), measured(calibration, 1, gains), calibration)
@@ -85,7 +85,7 @@ def test_errors_of_the_sensitivities_cancel():
     assert rougher.u_points == pytest.approx(clean.u_points, rel=1e-9)
 
 
-def test_repetitions_lessen_the_noise_and_nothing_else():
+def test_repetitions_reduce_only_the_contribution_of_noise():
     calibration = certificate(laser_linearity_m=300e-6)
     one, many = (
         reduction(*(measured(calibration, case, noise=(0.0,) * n) for case in (0, 1)), calibration) for n in (1, 10_000)
@@ -98,7 +98,7 @@ def test_repetitions_lessen_the_noise_and_nothing_else():
     assert repeatability(measured(calibration, 0, noise=(0.0,) * 4), calibration) == pytest.approx(NOISE / 2)
 
 
-def test_ideal_instruments_add_nothing():
+def test_ideal_instruments_add_no_uncertainty():
     info = info_rows(gain_u=0.0, ideal=True)
     info["range_low"], info["range_high"] = -np.inf, np.inf
     ideal = Calibration.from_info(info)
@@ -125,7 +125,7 @@ def row_of(calibration, ratio, gain=1.0, noise=0.0):
 
 
 @pytest.mark.parametrize("frequency_hz", [8.5, 9.0, 9.105, 9.4])
-def test_transmissibility_with_and_without_tells_added_mass_and_loss_factor(frequency_hz):
+def test_transmissibilities_with_and_without_damper_yield_added_mass_and_loss_factor(frequency_hz):
     """The closed form exactly, and within 2u for 93 % of sensors with wrong gains and other errors."""
     calibration = certificate(gain_u=5e-3, laser_linearity_m=0.0)
     wanted = 0.008, 0.006

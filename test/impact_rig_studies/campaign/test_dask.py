@@ -81,7 +81,7 @@ def start(file, directory, address, name="campaign", before=""):
     return subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
-def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
+def test_a_worker_killed_halfway_loses_no_result(cluster, tmp_path, measured):
     from distributed import Client
 
     address, workers = cluster
@@ -106,7 +106,7 @@ def test_a_worker_killed_half_way_costs_nothing(cluster, tmp_path, measured):
             assert_same(found, measured[job.key][1])
 
 
-def test_a_few_jobs_at_a_time_are_submitted_and_their_results_released(cluster, tmp_path):
+def test_jobs_are_submitted_in_small_numbers_and_their_results_released(cluster, tmp_path):
     """All were submitted before the first result was taken, and held to the end."""
     from distributed import Client
 
@@ -144,7 +144,7 @@ def test_a_time_limit_counts_the_threads_of_the_cluster(cluster):
     assert cluster_threads(address) == present
 
 
-def test_a_map_has_the_same_bits_there(cluster, tmp_path):
+def test_a_map_measured_on_a_cluster_has_the_same_bits(cluster, tmp_path):
     address, _ = cluster
     file, directory = tmp_path / "map.yaml", tmp_path / "out"
     file.write_text("axes: {gap_m: [0.012, 0.02], frequency_hz: [9.0, 9.1]}\n")
@@ -155,7 +155,7 @@ def test_a_map_has_the_same_bits_there(cluster, tmp_path):
         assert store(directory).get(line) == measure_line(line)
 
 
-def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster, tmp_path):
+def test_workers_with_other_code_are_named_and_their_results_not_stored(cluster, tmp_path):
     """One such worker is there from the start, one joins late; their results must not be stored."""
     from distributed import Client
 
@@ -209,7 +209,7 @@ def test_workers_with_other_code_are_named_and_nothing_of_them_is_stored(cluster
         assert store(directory).get(line) == measure_line(line)
 
 
-def test_a_cluster_that_cannot_be_reached_is_one_clear_line(tmp_path):
+def test_an_unreachable_cluster_is_reported_in_one_line(tmp_path):
     file, address = tmp_path / "tiny.yaml", f"tcp://127.0.0.1:{free_port()}"
     file.write_text(TINY)
     impatient = "from impact_rig_studies.campaign import pool; pool.CONNECT_S = 1.0; "

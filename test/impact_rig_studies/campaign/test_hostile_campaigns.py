@@ -41,12 +41,12 @@ TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[3] / "qualifica
 TINY = "studies:\n  s:\n    frequencies_hz: 9.1\n    gaps_m: 0.002\n    traces: true\n"
 
 
-def test_a_plan_of_millions_of_points_is_refused_before_any_is_made(tmp_path: Path) -> None:
+def test_a_plan_of_millions_of_points_is_rejected_before_any_is_created(tmp_path: Path) -> None:
     with pytest.raises(BudgetError, match=r"points in a campaign, more than 20000; .* IMPACT_RIG_BUDGET=N"):
         load_campaign(TOOL["huge_plan"](tmp_path))
 
 
-def test_the_budget_counts_what_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limit_counts_the_points_that_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(budget, "POINTS", 11)
     path = tmp_path / "plan.yaml"
     path.write_text("studies:\n  s: {frequencies_hz: [9.0, 9.1], gaps_m: [0.002, 0.004], repetitions: 3}\n")
@@ -56,7 +56,7 @@ def test_the_budget_counts_what_is_measured(tmp_path: Path, monkeypatch: pytest.
     assert len(load_campaign(path).planned()) == 4
 
 
-def test_what_is_no_regular_file_is_neither_read_nor_waited_for(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_regular_file_is_rejected_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.yaml")
     for path in (Path("/dev/zero"), tmp_path / "fifo.yaml"):
         for read in (load_config, load_campaign):
@@ -101,7 +101,7 @@ def stored(tmp_path: Path) -> tuple[Store, Job, Path]:
         ("wall_s", "3.25", "was changed after it was stored"),
     ],
 )
-def test_a_stored_result_that_is_none_is_one_line(
+def test_an_invalid_stored_result_is_reported_in_one_line(
     stored: tuple[Store, Job, Path], key: str, value: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store, job, file = stored
@@ -118,14 +118,14 @@ def test_a_stored_result_that_is_none_is_one_line(
     assert file.name in printed.replace(" ", "")
 
 
-def test_half_a_character_is_one_line(stored: tuple[Store, Job, Path]) -> None:
+def test_half_a_surrogate_pair_is_reported_in_one_line(stored: tuple[Store, Job, Path]) -> None:
     store, job, file = stored
     file.write_bytes(file.read_bytes().replace(b"2 mm", "2 µm".encode()[:3]))
     with pytest.raises(DamagedPointError, match=r"is not a valid stored result: .*utf-8"):
         store.get(job, as_it_is=True)
 
 
-def test_results_that_changed_places_are_named(tmp_path: Path, stored: tuple[Store, Job, Path]) -> None:
+def test_results_with_exchanged_files_are_named(tmp_path: Path, stored: tuple[Store, Job, Path]) -> None:
     _, _, file = stored
     (tmp_path / "other.yaml").write_text(TINY.replace("0.002", "0.004"))
     (other,) = run.unique_jobs(load_campaign(tmp_path / "other.yaml").planned())
@@ -157,7 +157,9 @@ def _npy(column: object) -> bytes:
     ],
     ids=["1e13 elements", "reshaped", "empty", "shorter", "nan", "changed", "texts", "nothing"],
 )
-def test_a_stored_trace_that_is_none_is_one_line(stored: tuple[Store, Job, Path], member: bytes, words: str) -> None:
+def test_an_invalid_stored_trace_is_reported_in_one_line(
+    stored: tuple[Store, Job, Path], member: bytes, words: str
+) -> None:
     store, job, file = stored
     path = file.with_suffix(".npz")
     with zipfile.ZipFile(path) as archive:
@@ -180,7 +182,7 @@ def test_a_stored_trace_that_would_fill_the_memory_is_not_unpacked(stored: tuple
     "value", ["1" + 400 * "0", "1" + 4000 * "0", "{from: -1.0e+308, to: 1.0e+308, step: 1.0e-300}", "1.0e+999"]
 )
 @pytest.mark.parametrize("command", ["campaign", "map"])
-def test_numbers_beyond_all_measure_are_one_short_line(
+def test_numbers_too_large_to_represent_are_reported_in_one_short_line(
     tmp_path: Path, command: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "plan.yaml"
@@ -197,7 +199,7 @@ def test_numbers_beyond_all_measure_are_one_short_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_report_writes_through_no_link(
+def test_a_report_does_not_write_through_a_link(
     stored: tuple[Store, Job, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     elsewhere = tmp_path / "elsewhere"
@@ -209,7 +211,7 @@ def test_a_report_writes_through_no_link(
     assert not list(elsewhere.iterdir())
 
 
-def test_points_are_exported_as_they_are_measured_whatever_stands_in_the_csv(
+def test_points_are_exported_from_the_results_and_not_from_the_csv(
     stored: tuple[Store, Job, Path], tmp_path: Path
 ) -> None:
     directory = stored[2].parents[1]

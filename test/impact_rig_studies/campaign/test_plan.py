@@ -51,7 +51,7 @@ def test_a_study_is_the_product_of_its_axes(write):
     assert (config.sphere.present, one.job.gap_m) == (False, 0.0)
 
 
-def test_a_range_ends_where_it_says_and_has_round_values(write):
+def test_a_range_includes_its_end_and_has_round_values(write):
     campaign = load_campaign(write(study(frequencies_hz="{from: 9.00, to: 9.12, step: 0.01}")))
     assert campaign.studies[0].frequencies_hz == tuple(round(9 + i / 100, 2) for i in range(13))
 
@@ -64,7 +64,7 @@ def test_single_points_begin_with_a_reset_and_sweeps_are_one_job(write):
     assert sweep.job.direction is Direction.DOWN
 
 
-def test_the_key_holds_what_decides_numbers_and_nothing_else(write):
+def test_the_key_of_a_job_depends_only_on_what_affects_its_numbers(write):
     def key(text, **overrides):
         return load_campaign(write(text), overrides).planned()[0].job.key
 
@@ -114,14 +114,14 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         ("studies: [", "not a YAML file"),
     ],
 )  # fmt: skip
-def test_a_wrong_file_is_refused_by_key_value_range_and_file(write, text, words):
+def test_an_invalid_file_is_rejected_with_key_value_range_and_file_name(write, text, words):
     with pytest.raises(ConfigError) as caught:
         load_campaign(write(text))
     assert words in str(caught.value)
     assert str(caught.value).endswith("c.yaml)")
 
 
-def test_a_campaign_may_name_its_rig_and_change_it(write, tmp_path):
+def test_a_campaign_can_name_its_rig_and_change_it(write, tmp_path):
     (tmp_path / "rig.yaml").write_text("structure: {mass_kg: 0.2}\n")
     text = f"config: rig.yaml\nset: {{daq.rate_hz: 20000}}\n{study(frequencies_hz='9.1')}"
     config = load_campaign(write(text), {"daq.seed": 7}).planned()[0].job.config()
@@ -130,7 +130,7 @@ def test_a_campaign_may_name_its_rig_and_change_it(write, tmp_path):
         load_campaign(write(f"config: nowhere.yaml\n{study(frequencies_hz='9.1')}"))
 
 
-def test_the_papers_campaign_is_six_cases_at_ten_frequencies():
+def test_the_campaign_of_the_paper_has_six_cases_at_ten_frequencies():
     campaign = load_campaign(config_dir() / "paper.yaml").only(("curves",))
     assert len(campaign.planned()) == 60
     assert all(one.reference for one in campaign.planned())
@@ -139,7 +139,7 @@ def test_the_papers_campaign_is_six_cases_at_ten_frequencies():
 
 
 @pytest.mark.parametrize("name", ["restitution", "mass", "amplitude"])
-def test_studies_that_are_run_alone_keep_the_campaign_s_reference_rig(name):
+def test_a_study_run_alone_keeps_the_reference_rig_of_its_campaign(name):
     """The first study run alone must not define another reference rig, such as one of light spheres."""
     campaign = load_campaign(config_dir() / "campaigns" / "beyond.yaml")
     whole = {one.job.key: one.reference for one in campaign.planned()}

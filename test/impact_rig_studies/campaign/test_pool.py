@@ -36,7 +36,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_pool_that_is_left_ends_before_the_interpreter_does(tmp_path):
+def test_an_abandoned_pool_ends_before_the_interpreter(tmp_path):
     program = tmp_path / "abandoned.py"
     program.write_text(ABANDONED)
     done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=60, check=True)

@@ -27,7 +27,7 @@ from impact_rig.runs.verification import verify
 pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(200)]
 
 
-def test_ros_and_process_give_the_same_bits(tmp_path, measured):
+def test_jobs_over_ros_and_in_process_yield_the_same_bits(tmp_path, measured):
     from impact_rig_studies.ros_campaign import ros_runner
 
     point, _, sweep, _, trip, refused = (job for job, _ in measured.values())
@@ -48,7 +48,7 @@ def test_ros_and_process_give_the_same_bits(tmp_path, measured):
         np.testing.assert_array_equal(settled[: len(found[job.key].rows)], found[job.key].rows["transmissibility"])
 
 
-def test_a_job_after_one_that_tripped_is_measured(tmp_path, measured):
+def test_a_job_after_a_trip_is_measured(tmp_path, measured):
     """The latch survives the lifecycle transitions: without a reset, every job after a trip would fail."""
     from impact_rig_studies.ros_campaign import ros_runner
 

@@ -50,7 +50,7 @@ def test_a_stored_outcome_reads_back_bit_for_bit(measured, tmp_path):
         assert_same(found, outcome)
 
 
-def test_a_stopped_campaign_goes_on_without_repeating_anything(tiny, measured, tmp_path):
+def test_a_stopped_campaign_resumes_without_repeating_a_job(tiny, measured, tmp_path):
     asked = []
 
     def stored(jobs):
@@ -78,7 +78,7 @@ def test_a_damaged_result_is_measured_again(measured, tmp_path):
     assert store.get(job) is None
 
 
-def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_trace(measured, tmp_path):
+def test_a_result_without_its_trace_is_valid_until_the_trace_is_requested(measured, tmp_path):
     job, outcome = next(iter(measured.values()))
     store = Store(tmp_path)
     store.put(job, attrs.evolve(outcome, trace={}))
@@ -88,7 +88,7 @@ def test_a_run_stored_without_its_trace_counts_but_is_measured_again_for_the_tra
     assert_same(found, attrs.evolve(outcome, trace={}))
 
 
-def test_a_run_that_fails_now_leaves_no_trace_of_an_earlier_one(measured, tmp_path):
+def test_a_failed_run_removes_the_trace_of_an_earlier_one(measured, tmp_path):
     """If the trace of the earlier run stayed, the point, and with it the campaign, would count as damaged forever."""
     job, outcome = next((job, outcome) for job, outcome in measured.values() if outcome.trace)
     store = Store(tmp_path)
@@ -128,7 +128,7 @@ def test_curves_are_exported_as_a_universal_file(tiny, measured, tmp_path):
     assert np.abs(up["data"]) == pytest.approx([point.dt for point in points])
 
 
-def test_points_that_fail_are_reported_and_do_not_stop_the_rest(tiny, measured, tmp_path):
+def test_failed_points_are_reported_and_do_not_stop_the_others(tiny, measured, tmp_path):
     store = run.prepare(tiny, tmp_path, "process")
     for job, outcome in measured.values():
         store.put(job, outcome)
@@ -154,7 +154,7 @@ def test_a_sweep_visits_up_and_down_and_keeps_the_state(tiny, measured):
     assert points[0].dt == pytest.approx(points[3].dt, rel=0.05)
 
 
-def test_a_point_that_was_left_out_after_its_first_row_says_why(tiny, measured):
+def test_a_point_skipped_after_its_first_row_has_the_right_reason(tiny, measured):
     """The reason must not be `not reached`, nor that of the way down, which the rig's trip had ended."""
     sweep = next(one for one in tiny.planned() if one.study == "sweep")
     job = attrs.evolve(sweep.job, repetitions=2)
@@ -165,7 +165,7 @@ def test_a_point_that_was_left_out_after_its_first_row_says_why(tiny, measured):
     assert [point.failure for point in points] == ["over_range", "", "the rig tripped", "the rig tripped"]
 
 
-def test_a_study_shares_the_runs_of_another(tiny):
+def test_studies_share_runs_with_equal_settings(tiny):
     planned = tiny.planned()
     assert len(planned) == 7
     jobs = run.unique_jobs(planned)
@@ -182,7 +182,7 @@ def test_a_trace_holds_scans_and_truth_of_the_same_instants(measured):
     assert np.abs(trace["x_2"] - trace["x_1"]).max() <= job.gap_m / 2 + 1e-4, "the sphere is between the barriers"
 
 
-def test_another_directory_is_never_taken_for_a_campaign(tiny, tmp_path):
+def test_a_directory_with_other_files_is_never_taken_for_a_campaign(tiny, tmp_path):
     (tmp_path / "thesis.tex").write_text("dear")
     with pytest.raises(RecordingError, match="is not empty and holds no campaign"):
         run.prepare(tiny, tmp_path, "process")
@@ -226,7 +226,7 @@ def test_a_campaign_runs_where_optional_packages_are_not_installed(tmp_path):
     assert (provenance["numba"], provenance["numpy"]) == ("not installed", np.__version__)
 
 
-def test_a_command_that_fails_before_its_first_result_leaves_no_directory(tmp_path):
+def test_a_command_that_fails_before_its_first_result_creates_no_directory(tmp_path):
     """An incomplete directory would look like a result, and the next attempt would be rejected or resume nothing."""
     plans = {
         "campaign": "studies: {one: {frequencies_hz: 9.1, gaps_m: none}}",
@@ -307,7 +307,7 @@ def test_an_interrupted_parallel_campaign_resumes_with_the_same_bits(tmp_path, m
         (["--only", "nothing"], "study must be one of pair, sweep"),
     ],
 )
-def test_a_wrong_word_is_one_clear_line(tmp_path, capsys, arguments, words):
+def test_an_invalid_argument_is_reported_in_one_line(tmp_path, capsys, arguments, words):
     file = tmp_path / "tiny.yaml"
     file.write_text(TINY)
     assert main(["campaign", str(file), "--output", str(tmp_path / "out"), *arguments]) == 1
@@ -316,7 +316,7 @@ def test_a_wrong_word_is_one_clear_line(tmp_path, capsys, arguments, words):
 
 
 @pytest.mark.parametrize("first", [[], ["--only", "one"], ["--only", "two", "three"]])
-def test_a_part_of_a_campaign_never_shrinks_the_results(tmp_path, capsys, monkeypatch, first):
+def test_running_a_part_of_a_campaign_keeps_all_earlier_results(tmp_path, capsys, monkeypatch, first):
     """`--only` once cut points.csv from 243 points to 60, while the report kept them all."""
     studies = {"one": "{frequencies_hz: 9.1, gaps_m: none}", "two": "{frequencies_hz: [8.5, 9.8], gaps_m: none}"}
     studies["three"] = "{frequencies_hz: 9.1, gaps_m: none, seeds: [5]}"

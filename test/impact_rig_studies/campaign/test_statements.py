@@ -68,7 +68,7 @@ def words(points):
     return {verdict.name: verdict.word for verdict in judge(Curves.of(points.values()))}
 
 
-def test_all_seven_hold_on_curves_made_so(points):
+def test_all_seven_statements_hold_for_suitable_curves(points):
     found = words(points)
     assert len(found) == 7
     assert set(found.values()) == {"pass"}, judge(Curves.of(points.values()))
@@ -88,24 +88,24 @@ def test_all_seven_hold_on_curves_made_so(points):
         ("natural_frequency_unchanged", [(0.010, 9.01, {"transmissibility": 3.0})]),
     ],
 )
-def test_each_statement_fails_when_it_is_broken(points, name, broken):
+def test_each_statement_fails_for_a_curve_that_violates_it(points, name, broken):
     changed = {**points, **{(gap, f): point(gap, f, **changes) for gap, f, changes in broken}}
     assert words(changed)[name] == "FAIL"
 
 
 @pytest.mark.parametrize("peak", [9.05, 9.10, 9.14])
-def test_unchanged_is_what_the_paper_says_and_how_ours_moves_is_not_judged(points, peak):
+def test_a_small_shift_of_the_peak_counts_as_an_unchanged_natural_frequency(points, peak):
     moved = {**points, (0.010, peak): point(0.010, peak, transmissibility=5.0)}
     assert words(moved)["natural_frequency_unchanged"] == "pass"
 
 
-def test_orbits_that_do_not_impact_are_no_evidence_of_an_optimum(points):
+def test_motions_without_impacts_are_not_evidence_of_an_optimum(points):
     quiet = {(gap, 9.1): point(gap, 9.1, impacts_per_cycle=0.0) for gap in WIDE_M}
     assert words({**points, **quiet})["reduction_falls_beyond_optimal_gap"] == "not judged"
 
 
 @pytest.mark.parametrize("gone", [(0.0, 9.1), (0.004, 9.5), (0.002, 7.5)])
-def test_a_missing_or_failed_point_is_named_not_guessed(points, gone):
+def test_a_missing_or_failed_point_is_named_instead_of_guessed(points, gone):
     failed = attrs.evolve(points[gone], failure="not_settled")
     verdicts = judge(Curves.of({**points, gone: failed}.values()))
     missing = [verdict for verdict in verdicts if verdict.result is None]
@@ -114,7 +114,7 @@ def test_a_missing_or_failed_point_is_named_not_guessed(points, gone):
     assert all(f"{gone[1]:g} Hz, {case}" in verdict.detail or "grid" in verdict.detail for verdict in missing)
 
 
-def test_the_peak_of_a_curve_is_found_between_the_points_of_the_grid(points):
+def test_the_peak_of_a_curve_is_interpolated_between_grid_points(points):
     assert peak_hz(Curves.of(points.values()), 0.0) == pytest.approx(9.105, abs=5e-4)
 
 
@@ -133,7 +133,7 @@ def without_sphere(changes):
 CHOSEN = {"shaker.damping_n_s_m": 10.0, "shaker.base_mass_kg": 0.84, "structure.mass_kg": 0.30}
 
 
-def test_a_fit_is_what_another_choice_of_constants_breaks():
+def test_a_statement_that_other_constants_violate_counts_as_a_fit():
     """In closed form, the statement on amplitudes holds by 1 % for the rig, and for none of three other choices."""
     rigs = [{}, *({name: value} for name, value in CHOSEN.items())]
     found = variations([made for changes in rigs for made in without_sphere(changes)])
@@ -146,12 +146,12 @@ def test_a_fit_is_what_another_choice_of_constants_breaks():
     assert {verdict.word for verdict in peaks} == {"pass"}, "f_n alone decides it"
 
 
-def test_one_rig_or_another_current_is_no_variation(points):
+def test_a_change_of_the_current_alone_is_not_a_variation_of_the_rig(points):
     louder = [attrs.evolve(one, reference=False, current_a=0.6) for one in points.values()]
     assert variations([*points.values(), *louder]) == []
 
 
-def test_the_constants_that_were_chosen_are_six():
+def test_six_constants_were_chosen():
     """Five of them are in the configuration; the current is the sixth."""
     chosen = {name for name, about, _ in fields() if about.origin is Origin.IDENTIFIED}
     assert len(chosen) + 1 == 6

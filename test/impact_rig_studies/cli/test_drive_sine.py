@@ -40,7 +40,7 @@ def rows_of(directory: Path, test: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_hold(rig, tmp_path, capsys):
+def test_the_hold_command_keeps_the_base_amplitude(rig, tmp_path, capsys):
     out = tmp_path / "new" / "held"
     words = ["base", "60um", "--frequencies", "9.2", "--gap", "none", "--output", str(out)]
     assert main(["drive", "hold", *words, *rig]) == 0
@@ -54,7 +54,7 @@ def test_hold(rig, tmp_path, capsys):
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
-def test_sweep(rig, tmp_path, capsys):
+def test_the_sweep_command_measures_the_frequencies_in_the_given_direction(rig, tmp_path, capsys):
     out = tmp_path / "sweep"
     words = ["--frequencies", "9.2", "9", "--gap", "none", "--current", "100mA", "--direction", "down", "--json"]
     assert main(["drive", "sweep", *words, "--output", str(out), *rig]) == 0
@@ -66,7 +66,7 @@ def test_sweep(rig, tmp_path, capsys):
     assert {"directory": str(out), **json.loads((out / "sweep.json").read_text())} == printed
 
 
-def test_an_output_that_cannot_be_written_is_refused_before_anything_is_measured(rig, tmp_path, monkeypatch, capsys):
+def test_an_unwritable_output_is_rejected_before_any_measurement(rig, tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(drive_sine, "operate", lambda *_: pytest.fail("it was measured"))
     words = ["drive", "hold", "base", "60um", "--frequencies", "9.2", "--gap", "none", *rig, "--output"]
@@ -74,14 +74,14 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_is_measured
     assert "cannot write" in capsys.readouterr().err
 
 
-def test_an_amplitude_that_was_not_reached_is_said_and_is_no_success(rig, tmp_path, capsys):
+def test_an_amplitude_that_was_not_reached_is_reported_and_fails_the_command(rig, tmp_path, capsys):
     assert main(["drive", "hold", "base", "1m", "--frequencies", "9", *rig, "--output", str(tmp_path / "run")]) == 1
     assert "9 Hz" in " ".join(capsys.readouterr().out.splitlines()[-3:])
 
 
 @pytest.mark.ros
 @pytest.mark.pipeline
-def test_hold_over_topics_has_the_same_bits(rig, tmp_path):
+def test_the_hold_command_over_topics_yields_the_same_bits(rig, tmp_path):
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     words = ["base", "60um", "--frequencies", "9.2", "--gap", "none", *rig]
     for way in ("process", "ros"):
@@ -89,14 +89,14 @@ def test_hold_over_topics_has_the_same_bits(rig, tmp_path):
     assert (tmp_path / "ros/hold.csv").read_bytes() == (tmp_path / "process/hold.csv").read_bytes()
 
 
-def test_lock(rig, tmp_path, capsys):
+def test_the_lock_command_finds_the_resonance(rig, tmp_path, capsys):
     out = tmp_path / "lock"
     assert main(["drive", "lock", "--gap", "6mm", "--dwell", "3", "--output", str(out), *rig]) == 0
     assert float(rows_of(out, "lock")[-1]["frequency"]) == pytest.approx(9.065, abs=0.01)
     assert "drift" in capsys.readouterr().out
 
 
-def test_a_dwell_too_short_for_an_uncertainty_has_no_result(rig, tmp_path, capsys):
+def test_a_dwell_too_short_for_an_uncertainty_yields_no_result(rig, tmp_path, capsys):
     assert main(["drive", "lock", "--gap", "none", "--dwell", "0.3", *rig, "--output", str(tmp_path / "lock")]) == 1
     printed = capsys.readouterr().out
     assert "too few for a mean with its uncertainty" in " ".join(printed.split())
@@ -104,7 +104,7 @@ def test_a_dwell_too_short_for_an_uncertainty_has_no_result(rig, tmp_path, capsy
     assert not NO_NUMBER.search(printed.replace(str(tmp_path), ""))
 
 
-def test_backbone(rig, tmp_path, capsys):
+def test_the_backbone_command_locks_at_every_current_up_and_down(rig, tmp_path, capsys):
     out = tmp_path / "backbone"
     words = ["--gap", "10mm", "--currents", "0.3", "0.4", "--output", str(out)]
     assert main(["drive", "backbone", *words, *rig]) == 0
@@ -124,7 +124,7 @@ def test_backbone(rig, tmp_path, capsys):
         (["hold", "current", "60um"], "target of current: the unit must be one of A, mA"),
     ],
 )
-def test_nonsense_is_one_line(words, message, tmp_path, capsys):
+def test_invalid_arguments_are_reported_in_one_line(words, message, tmp_path, capsys):
     assert main(["drive", *words, "--output", str(tmp_path / "run")]) == 1
     assert not (tmp_path / "run").exists()
     assert message in capsys.readouterr().err

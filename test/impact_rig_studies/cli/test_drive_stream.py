@@ -47,14 +47,14 @@ def run(*words):
     return main([str(word) for word in words])
 
 
-def test_the_options_know_the_channels_and_their_units():
+def test_the_options_have_the_channels_and_units_of_the_instruments():
     """A parser must not import the channels, which need NumPy."""
     units = {name: INSTRUMENTS[name].column().unit for name in CHANNELS}
     assert {name: unit.strip("()").replace("²", "^2") for name, unit in SI.items()} == units
     assert tuple(SI) == CHANNELS
 
 
-def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
+def test_the_current_follows_the_played_file(tmp_path, capsys):
     wave = 0.4 * np.sin(2.0 * np.pi * 9.1 * np.arange(3_000) / 1_000) * np.hanning(3_000)
     np.savez(tmp_path / "wave.npz", drive=wave, fs=1_000.0)
     given = ("drive", "play", tmp_path / "wave.npz", "--scan-rate", 2_000, "--clip", 0.3, "--json")
@@ -72,7 +72,7 @@ def test_a_played_file_is_what_the_current_was(tmp_path, capsys):
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
-def test_names_that_are_no_text_are_told_on_the_page(tmp_path):
+def test_names_that_are_not_valid_text_are_escaped_on_the_page(tmp_path):
     """If the names were written as they are, the page could not be written after the run."""
     file, directory = tmp_path / os.fsdecode(b"d\xff.csv"), tmp_path / os.fsdecode(b"run\xff")
     file.write_text("time,current\n0,0\n0.05,0.1\n0.1,0\n")
@@ -82,7 +82,7 @@ def test_names_that_are_no_text_are_told_on_the_page(tmp_path):
     assert "run\\udcff; impact-rig verify" in page
 
 
-def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
+def test_a_frequency_response_is_reported_with_its_coherence(tmp_path):
     words = ("drive", "frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
     assert run(*words, "--output", tmp_path / "run") == 0
     found, page = told(tmp_path / "run", "frf")
@@ -94,7 +94,7 @@ def test_a_frequency_response_is_told_with_its_coherence(tmp_path):
     assert "best linear approximation" in page
 
 
-def test_random_control_by_a_plan_says_what_was_reached_where_it_was_aborted(tmp_path):
+def test_random_control_by_a_plan_reports_the_level_reached_before_an_abort(tmp_path):
     plan = tmp_path / "plan.yaml"
     plan.write_text("{frame_s: 1, loops: 2, frames: 4, averages: 4}")
     assert run("drive", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
@@ -108,7 +108,7 @@ def test_random_control_by_a_plan_says_what_was_reached_where_it_was_aborted(tmp
     assert "Ended early: aborted" in page
 
 
-def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
+def test_a_history_and_a_shock_are_reported_trial_by_trial(tmp_path):
     hill = 2e-4 * np.hanning(800) * np.sin(2.0 * np.pi * 12.0 * np.arange(800) / 1_000)
     np.savez(tmp_path / "hill.npz", base=hill, fs=1_000.0)
     plan = tmp_path / "plan.yaml"
@@ -121,7 +121,7 @@ def test_a_history_and_a_shock_are_told_trial_by_trial(tmp_path):
     assert "measured response function" in page
 
 
-def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
+def test_an_interrupt_leaves_a_valid_run_and_a_page(tmp_path):
     """A real process gets SIGINT in the middle of loops that it cannot finish meanwhile."""
     (tmp_path / "long.yaml").write_text("{loops: 500}")
     process = subprocess.Popen(
@@ -150,7 +150,7 @@ def test_an_interrupt_leaves_a_run_that_verifies_and_a_page(tmp_path):
         (("--through", "running", "--sphere-start", "left"), "--sphere-start applies only to a rig"),
     ],
 )
-def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
+def test_invalid_arguments_are_rejected_by_name(tmp_path, capsys, words, says):
     (tmp_path / "volts.yaml").write_text("{drive: {kind: voltage}}")
     words = [tmp_path / word if str(word).endswith(".yaml") else word for word in words]
     assert run("drive", "shock", *words, "--output", tmp_path / "run") == 1
@@ -170,7 +170,7 @@ def test_wrong_words_are_refused_by_name(tmp_path, capsys, words, says):
         (("drive", "replicate", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
     ],
 )
-def test_without_enough_data_there_is_no_figure(tmp_path, capsys, words, says):
+def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys, words, says):
     (tmp_path / "one.csv").write_text("time,current\n0,0.1\n0.0001,0.1\n")
     (tmp_path / "zeros.csv").write_text("time,base\n0,0\n0.5,0\n1,0\n")
     words = [tmp_path / word if str(word).endswith(".csv") else word for word in words]
@@ -193,7 +193,7 @@ def test_without_enough_data_there_is_no_figure(tmp_path, capsys, words, says):
         (("drive", "frf", "--drive-seed", "-1"), "seed must be"),
     ],
 )
-def test_what_nobody_can_play_is_refused_before_anything_runs(tmp_path, capsys, words, says):
+def test_an_unplayable_signal_is_rejected_before_the_rig_runs(tmp_path, capsys, words, says):
     (tmp_path / "drive.csv").write_text("time,current\n0,0\n0.001,0.1\n0.002,0\n")
     words = [tmp_path / word if word.endswith(".csv") else word for word in words]
     assert run(*words, "--output", tmp_path / "run") == 1

@@ -77,7 +77,7 @@ def test_a_length_is_the_same_number_in_every_unit(text: str, value: float) -> N
         ("1e999m", "must be >= 1e-06"),
     ],
 )
-def test_what_is_no_length_is_refused_with_a_hint(text: str, message: str) -> None:
+def test_an_invalid_length_is_rejected_with_a_hint(text: str, message: str) -> None:
     with pytest.raises(ConfigError) as error:
         GAP.parse(text)
     assert message in str(error.value)
@@ -94,7 +94,7 @@ def test_other_quantities_may_omit_the_unit() -> None:
         frequency.parse("fast")
 
 
-def test_a_length_or_the_name_of_a_signal() -> None:
+def test_an_option_accepts_a_length_or_the_name_of_a_signal() -> None:
     assert GAP_LABEL.parse("6mm") == 0.006
     assert GAP_LABEL.parse("gap column") == "gap column"
     assert GAP_LABEL.parse("2nd") == "2nd"
@@ -136,7 +136,7 @@ def test_every_length_of_every_command_needs_a_unit() -> None:
 
 
 @pytest.mark.parametrize(("name", "action"), LENGTHS, ids=[f"{n} {a.option_strings}" for n, a in LENGTHS])
-def test_a_bare_length_is_refused_in_every_command(
+def test_a_length_without_a_unit_is_rejected_in_every_command(
     name: str, action: argparse.Action, capsys: pytest.CaptureFixture[str]
 ) -> None:
     needed = [
@@ -166,13 +166,13 @@ def test_a_bare_length_is_refused_in_every_command(
         (["current=2mm"], "current: the unit must be one of A, mA"),
     ],
 )
-def test_wrong_limits_are_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_limits_are_rejected(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["drive", "shock", "--abort", *words])
     assert message in capsys.readouterr().err
 
 
-def test_the_parser_carries_the_unit_and_range_of_its_field() -> None:
+def test_the_parser_has_the_unit_and_range_of_its_field() -> None:
     assert GAP.about.unit == "m"
     assert (GAP.about.low, GAP.about.high) == (1e-6, 1)
     assert Quantity(FieldInfo("", "Pa", low=0.0)).parse("3Pa") == 3.0

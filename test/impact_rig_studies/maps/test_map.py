@@ -74,7 +74,7 @@ def files_of(directory: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("frequency_hz", [8.9, 9.1])
-def test_without_a_sphere_a_place_is_the_closed_form(frequency_hz):
+def test_a_point_without_a_sphere_is_the_closed_form(frequency_hz):
     config = from_flat(RigConfig(), {"sphere.present": False})
     found = MapRig(config, Settings(settle_cycles=600)).measure(frequency_hz, CURRENT_A)
     assert found.dt == pytest.approx(abs(complex(transmissibility(config, frequency_hz))), rel=1e-3)
@@ -83,7 +83,7 @@ def test_without_a_sphere_a_place_is_the_closed_form(frequency_hz):
     assert abs(found.reduction_percent) < 0.1
 
 
-def test_two_impacts_per_cycle_are_the_prediction(small):
+def test_points_with_two_impacts_per_cycle_agree_with_the_prediction(small):
     plan, directory = small
     values = run.open_map(directory).values[UP]
     place = (list(plan.axes["gap_m"]).index(0.020), list(plan.axes["frequency_hz"]).index(9.1))
@@ -107,7 +107,7 @@ def test_two_impacts_per_cycle_are_the_prediction(small):
         (0.008, 9.565, 1),  # an impact comes as the cycle begins
     ],
 )
-def test_what_has_settled_is_what_a_long_motion_does(gap_m, frequency_hz, period):
+def test_a_settled_point_agrees_with_a_long_motion(gap_m, frequency_hz, period):
     """DT agrees within `settle_tolerance`, from a hundredth of the cycles and without samples."""
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": gap_m}), Settings())
     found = rig.measure(frequency_hz, CURRENT_A)
@@ -133,7 +133,7 @@ def test_a_motion_that_repeats_after_many_cycles_is_periodic(tmp_path: Path) -> 
     assert found.impacts_per_cycle * 12.0 == pytest.approx(16.0)
 
 
-def test_impacts_of_what_has_not_settled_are_counted_as_they_came():
+def test_impacts_of_an_unsettled_motion_are_counted_over_all_cycles():
     """The amplitude repeats within the tolerance for periodic; the sphere does not, so the motion is chaotic."""
     found = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.004}), Settings()).measure(8.725, CURRENT_A)
     assert (found.regime, found.cycles) == ("chaotic", 200.0)
@@ -151,7 +151,7 @@ frequency_hz: 9.1
 """
 
 
-def test_where_the_sphere_begins_decides_between_three_motions(tmp_path):
+def test_the_start_of_the_sphere_selects_one_of_three_motions(tmp_path):
     """At 30 mm and 9.1 Hz: two impacts per cycle, none, and a third motion that no start at rest reaches."""
     (tmp_path / "map.yaml").write_text(COEXISTENCE)
     found = [reading for line in load_map(tmp_path / "map.yaml").lines() for reading in measure_line(line)]
@@ -171,7 +171,7 @@ def test_a_sphere_on_its_way_to_a_wall_is_not_at_rest():
     assert len(rig.run_cycles(10.5, CURRENT_A, 1200).impacts) > 0
 
 
-def test_starts_are_measured_one_beside_the_other(tmp_path):
+def test_each_start_of_the_sphere_is_measured_separately(tmp_path):
     path = written(tmp_path, "axes: {gap_m: [0.02, 0.03], frequency_hz: [9.1, 9.2]}\nstarts: [left, centre]\n")
     plan = load_map(path)
     assert plan.layers == ("left", "centre")
@@ -194,12 +194,12 @@ def test_starts_are_measured_one_beside_the_other(tmp_path):
         (SMALL.replace("direction: both", "starts: [above]"), "starts must be one of left, centre, right"),
     ],
 )
-def test_a_beginning_that_cannot_be_is_refused(tmp_path, text, words):
+def test_an_impossible_start_is_rejected(tmp_path, text, words):
     with pytest.raises(ConfigError, match=re.escape(words)):
         load_map(written(tmp_path, text))
 
 
-def test_what_was_interrupted_is_resumed_to_the_same_bits(small, tmp_path):
+def test_an_interrupted_map_resumes_to_the_same_bits(small, tmp_path):
     plan, directory = small
     kept = run.store(tmp_path / "again")
     kept.prepare(plan.text, plan.base)
@@ -221,7 +221,7 @@ def test_a_map_of_another_rig_is_not_replaced(small, tmp_path):
         run.store(tmp_path).prepare(plan.text, from_flat(plan.base, {"sphere.present": False}))
 
 
-def test_a_line_of_other_code_or_a_damaged_one_is_measured_anew(small, tmp_path):
+def test_a_damaged_line_or_one_of_other_code_is_measured_again(small, tmp_path):
     plan, directory = small
     run.store(tmp_path).prepare(plan.text, plan.base)
     line = plan.lines()[0]
@@ -234,7 +234,7 @@ def test_a_line_of_other_code_or_a_damaged_one_is_measured_anew(small, tmp_path)
     assert run.store(tmp_path).get(line) == measure_line(line)
 
 
-def test_down_is_visited_from_above(small):
+def test_a_downward_line_starts_at_its_highest_value(small):
     plan, _ = small
     up, down = (next(line for line in plan.lines() if line.direction == one) for one in (UP, DOWN))
     assert up.values == (9.0, 9.1)
@@ -252,7 +252,7 @@ def test_the_best_gap_agrees_with_the_prediction(small):
     assert best["points_per_percent"]["sphere.density_kg_m3"] > 0.1
 
 
-def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
+def test_the_sensitivities_of_an_optimum_are_computed_at_the_end_of_a_range(tmp_path):
     """At e = 1, the sensitivity is the difference to a smaller e.
 
     A larger e, such as 1.005, is not allowed, and must not fail the optimum after all measurements.
@@ -269,7 +269,7 @@ def test_what_an_optimum_hangs_on_is_told_at_the_end_of_a_range_too(tmp_path):
     assert np.isfinite(list(best.points_per_percent.values())).all()
 
 
-def test_the_best_of_a_map_and_its_neighbours():
+def test_the_optimum_of_a_map_is_reported_with_its_neighbours():
     assert optimum.from_map([10.0, 49.5, 50.0, 49.2, 30.0], [1, 2, 3, 4, 5]) == (3.0, (2.0, 4.0))
 
 
@@ -345,7 +345,7 @@ def test_a_map_becomes_a_data_frame_and_a_dataset(small):
     assert set(frame["start"]) == {small[0].base.sphere.start}
 
 
-def test_starts_that_are_measured_one_beside_the_other_have_a_column(tmp_path):
+def test_the_start_of_the_sphere_is_a_column_of_the_table(tmp_path):
     path = tmp_path / "map.yaml"
     path.write_text("axes: {gap_m: [0.006, 0.008], current_a: [0.5, 0.52]}\nstarts: [left, right]\n")
     assert main(["map", str(path), "--workers", "1", "--no-figures", "--output", str(tmp_path / "out")]) == 0
@@ -354,7 +354,7 @@ def test_starts_that_are_measured_one_beside_the_other_have_a_column(tmp_path):
     assert dict(run.open_map(tmp_path / "out").to_xarray().sizes) == {"gap_m": 2, "current_a": 2, "start": 2}
 
 
-def test_a_motion_that_cannot_be_resolved_is_told_as_such(monkeypatch):
+def test_an_unresolvable_motion_is_marked_as_failed(monkeypatch):
     from impact_rig.errors import SimulationError
     from impact_rig.physics import Simulation
 
@@ -368,12 +368,12 @@ def test_a_motion_that_cannot_be_resolved_is_told_as_such(monkeypatch):
     assert math.isnan(found.dt)
 
 
-def test_no_impacts_is_a_class_of_its_own():
+def test_motions_without_impacts_are_a_separate_class():
     values = {"regime": np.array(["periodic", ""]), "impacts_per_cycle": np.zeros(2), "period": np.array([1.0, np.nan])}
     assert classes(values).tolist() == [QUIET, 5]
 
 
-def test_three_axes_are_one_picture_each(tmp_path):
+def test_a_map_with_three_axes_has_a_picture_per_value(tmp_path):
     text = "axes: {gap_m: [0.01, 0.02], frequency_hz: [9.0, 9.1], current_a: [0.4, 0.52]}\n"
     plan = load_map(written(tmp_path, text))
     assert plan.points == 8
@@ -413,18 +413,18 @@ SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], 
         ("axes: [", "not a YAML file"),
     ],
 )
-def test_a_wrong_file_is_refused_by_name(tmp_path, text, message):
+def test_an_invalid_file_is_rejected_by_name(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message):
         load_map(written(tmp_path, text))
 
 
-def test_a_map_that_would_take_too_long_is_refused_with_its_time(tmp_path, monkeypatch):
+def test_a_map_that_would_take_too_long_is_rejected_with_its_time(tmp_path, monkeypatch):
     text = "axes: {gap_m: {from: 0.001, to: 0.04, step: 0.00001}, frequency_hz: {from: 8, to: 10, step: 0.001}}\n"
     with pytest.raises(BudgetError, match=r"7805901 points would take about 4\.3 h on 2 cores, more than 1 h; .*=N"):
         load_map(written(tmp_path, text), workers=2)
 
 
-def test_a_map_that_took_long_is_opened_on_any_machine(small, tmp_path, monkeypatch):
+def test_a_finished_map_can_be_opened_on_any_machine(small, tmp_path, monkeypatch):
     """Points that are already measured cost no time, so the time limit does not apply to them."""
     plan, directory = small
     monkeypatch.setattr("impact_rig_studies.maps.plan.LIMIT_S", 1e-6)
@@ -433,7 +433,7 @@ def test_a_map_that_took_long_is_opened_on_any_machine(small, tmp_path, monkeypa
     assert run.open_map(directory).plan.points == plan.points
 
 
-def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
+def test_a_directory_with_other_files_is_not_touched(small, tmp_path):
     plan, _ = small
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
@@ -442,7 +442,7 @@ def test_a_directory_of_something_else_is_left_alone(small, tmp_path):
         run.open_map(tmp_path)
 
 
-def test_a_line_says_what_it_is(small):
+def test_a_line_describes_its_values_and_has_its_own_key(small):
     plan, _ = small
     line = plan.lines()[0]
     assert line.describe() == "gap_m 0.01, up"

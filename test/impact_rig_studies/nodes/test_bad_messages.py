@@ -116,7 +116,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
 
 
 @pytest.mark.parametrize("name", ["rig", "analysis", "recorder", "plot", "stepped_sine"])
-def test_every_subscription_of_a_node_takes_anything(
+def test_every_subscription_of_a_node_survives_any_message(
     graph: tuple[Client, dict[str, ManagedNode[Any]]], name: str
 ) -> None:
     """Messages that are not tables of their topic are rejected and counted under it; none raises an exception."""
@@ -147,7 +147,7 @@ def test_every_subscription_of_a_node_takes_anything(
     assert node.active
 
 
-def test_nodes_go_on_after_all_that(graph: tuple[Client, dict[str, ManagedNode[Any]]]) -> None:
+def test_nodes_continue_after_invalid_messages(graph: tuple[Client, dict[str, ManagedNode[Any]]]) -> None:
     client, nodes = graph
     node = client.host(Node, node_name="intruder")
     publishers = {topic.name: node.create_publisher(PointCloud2, topic.name, messages.profile(topic.qos))
@@ -168,7 +168,7 @@ def test_nodes_go_on_after_all_that(graph: tuple[Client, dict[str, ManagedNode[A
 
 
 @pytest.mark.parametrize("topic", TABLES.values(), ids=lambda topic: topic.name)
-def test_a_collector_keeps_what_is_a_table_of_its_topic_and_counts_the_rest(topic: topics.Topic) -> None:
+def test_a_collector_keeps_valid_tables_of_its_topic_and_counts_the_others(topic: topics.Topic) -> None:
     collector = Collector(topic)
     bad = list(malformed(topic))
     for data in bad:

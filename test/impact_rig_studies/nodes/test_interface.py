@@ -82,7 +82,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, 
         yield client, nodes
 
 
-def test_services_of_the_graph_are_those_of_the_page(running) -> None:
+def test_the_page_lists_the_services_of_the_graph(running) -> None:
     client, nodes = running
     for name in nodes:
         found = dict(client.node.get_service_names_and_types_by_node(name, "/"))
@@ -92,7 +92,7 @@ def test_services_of_the_graph_are_those_of_the_page(running) -> None:
         assert {key: types for key, types in own.items() if key not in elsewhere} == expected, name
 
 
-def test_parameters_of_the_graph_are_those_of_the_page_with_unit_and_range(running) -> None:
+def test_the_page_lists_the_parameters_of_the_graph_with_unit_and_range(running) -> None:
     """Compare with the output of `ros2 param list` and `ros2 param describe`."""
     client, nodes = running
     for node in nodes:
@@ -118,7 +118,7 @@ def _pattern(figure: figures.Figure) -> str:
     return re.sub(r"<\w+>", r"[\\w/]+", figure.key.replace(".", r"\."))
 
 
-def test_figures_of_the_diagnostics_are_those_of_the_page(running) -> None:
+def test_the_page_lists_the_figures_of_the_diagnostics(running) -> None:
     client, nodes = running
     client.diagnostics.clear()
     for name, node in nodes.items():
@@ -140,7 +140,7 @@ def test_figures_of_the_diagnostics_are_those_of_the_page(running) -> None:
 
 
 @pytest.mark.parametrize("node", [*NODES])
-def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
+def test_the_help_of_a_node_prints_its_usage_and_starts_no_node(node: str) -> None:
     """`rig_node --help` must print its usage, and not start a rig."""
     module = "impact_rig_lab.node" if node == "lab" else "impact_rig.nodes.__main__"
     call = f"import sys, {module} as m; sys.argv[1:] = ['--help']; m.{'main' if node == 'lab' else node}(); "
@@ -155,7 +155,7 @@ def test_a_program_tells_its_use_and_starts_nothing(node: str) -> None:
         assert tree.from_flat(tree.root(), {name: yaml.safe_load(value)}) != tree.root()
 
 
-def test_help_of_what_ros_is_told_is_for_ros() -> None:
+def test_a_help_option_among_the_ros_arguments_is_left_to_ros() -> None:
     assert not show_help("rig", NODES["rig"], ["--ros-args", "-p", "--help"])
 
 
@@ -213,9 +213,7 @@ def situated(situation: Situation, mortal, finalized) -> Iterator[tuple[Client, 
 
 @pytest.mark.parametrize("situation", Situation)
 @pytest.mark.parametrize("row", [row for row in graph.SERVICES if row.node == "rig"], ids=lambda row: row.name)
-def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
-    situated, situation: Situation, row: graph.Input
-) -> None:
+def test_services_answer_in_each_situation_as_documented(situated, situation: Situation, row: graph.Input) -> None:
     client, node = situated
     before = node.refusals.counts.total()
     kind, request = (SetBool, SetBool.Request(data=True)) if row.name == "~/pause" else (Trigger, Trigger.Request())
@@ -229,7 +227,9 @@ def test_a_service_is_taken_or_refused_with_a_message_as_the_page_says(
 
 @pytest.mark.parametrize("situation", Situation)
 @pytest.mark.parametrize("row", graph.COMMANDS, ids=lambda row: row.name)
-def test_a_command_is_taken_or_refused_as_the_page_says(situated, situation: Situation, row: graph.Input) -> None:
+def test_commands_are_accepted_or_rejected_in_each_situation_as_documented(
+    situated, situation: Situation, row: graph.Input
+) -> None:
     client, node = situated
     before, applied = node.refusals.counts.total(), len(client.applied)
     client.publish(by_name(row.name), Float64(data=10.0))
@@ -253,7 +253,7 @@ def test_a_parameter_can_be_set_in_every_situation(situated, situation: Situatio
 # Readers of daq/scan
 
 
-def test_readers_are_told_apart_by_their_acknowledgements(client: Client) -> None:
+def test_the_rig_distinguishes_readers_by_their_acknowledgements(client: Client) -> None:
     """The rig publishes how far behind each peer is, and ignores unknown names."""
     node = host_rig(client, time__peers=[])
     client.wait_active("rig")

@@ -118,7 +118,9 @@ CASES = [(node, values) for node, (_, variants) in NODES.items() for values in v
 
 
 @pytest.mark.parametrize(("node", "values"), CASES, ids=[f"{node}-{i}" for i, (node, _) in enumerate(CASES)])
-def test_dump_load_dump_is_the_identity(user: Client, tmp_path: Path, node: str, values: dict[str, Any]) -> None:
+def test_dumped_parameters_can_be_loaded_unchanged(
+    user: Client, tmp_path: Path, node: str, values: dict[str, Any]
+) -> None:
     """This also holds for another node that was started without them, except for what is fixed at the start."""
     first = host(user, node, values)
     before = dump(user, first.get_name(), tmp_path / "first.yaml")
@@ -131,14 +133,14 @@ def test_dump_load_dump_is_the_identity(user: Client, tmp_path: Path, node: str,
     assert dump(user, other.get_name(), tmp_path / "other.yaml") == before
 
 
-def test_a_text_that_the_command_cannot_carry_is_at_least_not_changed_by_it(user: Client, tmp_path: Path) -> None:
+def test_a_text_that_ros2_param_cannot_represent_is_not_changed(user: Client, tmp_path: Path) -> None:
     name = host(user, "recorder", {**ASLEEP, "directory": "off", "name": "0x10"}).get_name()
     before = dump(user, name, tmp_path / "recorder.yaml")
     assert load(user, name, tmp_path / "recorder.yaml") == []
     assert dump(user, name, tmp_path / "recorder.yaml") == before
 
 
-def test_a_fixed_value_that_is_another_is_refused(user: Client, tmp_path: Path) -> None:
+def test_a_different_value_of_a_read_only_parameter_is_rejected(user: Client, tmp_path: Path) -> None:
     node = host(user, "rig", {"output.autostart": False})
     name = node.get_name()
     dump(user, name, tmp_path / "rig.yaml")

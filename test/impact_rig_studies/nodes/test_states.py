@@ -61,7 +61,7 @@ def wait_for(client: Client, node: str, word: str, reason: str = "") -> dict[str
     return found
 
 
-def test_a_rig_says_what_it_does(client: Client) -> None:
+def test_a_rig_reports_its_state(client: Client) -> None:
     """Each change is reported in the next message, not in one of the regular reports."""
     host_rig(client, "free_running", time__peers=["client"], output__autostart=False)
     inactive = wait_for(client, "rig", "inactive", "unconfigured")
@@ -90,7 +90,7 @@ def test_a_rig_says_what_it_does(client: Client) -> None:
     assert wait_for(client, "rig", "at_rest")["instance"] != found["instance"]
 
 
-def test_an_interlock_is_the_reason_of_a_trip(client: Client) -> None:
+def test_the_reason_of_a_trip_names_the_interlock(client: Client) -> None:
     host_rig(client, time__peers=["client"], shaker__travel_limit_m=1e-6, drive__amplitude=0.5, step__blocks=50)
     client.wait_active("rig")
     client.collect("daq/scan", acknowledge=True)
@@ -98,7 +98,7 @@ def test_an_interlock_is_the_reason_of_a_trip(client: Client) -> None:
     wait_for(client, "rig", "tripped", "travel")
 
 
-def test_a_stepped_rig_is_paused_while_nobody_steps(client: Client) -> None:
+def test_a_rig_in_lockstep_is_paused_between_steps(client: Client) -> None:
     host_rig(client, time__peers=["client"], drive__amplitude=0.1)
     client.wait_active("rig")
     client.collect("daq/scan", acknowledge=True)
@@ -115,7 +115,7 @@ def test_a_silent_peer_is_named(client: Client) -> None:
     wait_for(client, "rig", "silent_peer", "client")
 
 
-def test_rigs_in_one_namespace_are_rivals_both(client: Client) -> None:
+def test_two_rigs_in_one_namespace_both_report_a_rival(client: Client) -> None:
     """The first rig continues, and the other one waits; neither is shown as a rig at rest."""
     first = host_rig(client, "realtime")
     client.wait_active("rig")
@@ -143,7 +143,7 @@ def host_analysis(client: Client) -> AnalysisNode:
     return node
 
 
-def test_an_analysis_says_what_it_can_measure(client: Client) -> None:
+def test_an_analysis_reports_whether_it_can_measure(client: Client) -> None:
     host_analysis(client)
     wait_for(client, "analysis", "no_scans", "no scans received yet")
     host_rig(client, time__peers=["analysis"], step__blocks=100)
@@ -199,7 +199,7 @@ def host_recorder(client: Client, directory: Path, **values: object) -> Recorder
     return node
 
 
-def test_a_recorder_says_whether_it_records(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recorder_reports_whether_it_records(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     host_recorder(client, tmp_path)
     wait_for(client, "recorder", "waiting", "configuration")
     host_rig(client, time__peers=["recorder"])
@@ -229,11 +229,11 @@ def intruder(client: Client, topic: topics.Topic) -> Callable[[Any], None]:
     return publisher.publish
 
 
-def journal_of_somebody() -> bytes:
+def foreign_journal() -> bytes:
     return codec.encode_text("{}")
 
 
-def test_a_recorder_says_what_it_did_not_get_and_who_wrote_in_anothers_place(client: Client, tmp_path: Path) -> None:
+def test_a_recorder_reports_lost_messages_and_foreign_publishers(client: Client, tmp_path: Path) -> None:
     """Each of the two makes the run impossible to verify."""
     recorder = host_recorder(client, tmp_path)
     host_rig(client, time__peers=["recorder"])
@@ -242,13 +242,13 @@ def test_a_recorder_says_what_it_did_not_get_and_who_wrote_in_anothers_place(cli
     wait_for(client, "recorder", "recording")
     recorder._account.take("/daq/scan", 1000)
     wait_for(client, "recorder", "losing", "on daq/scan")
-    intruder(client, topics.JOURNAL)(journal_of_somebody())
+    intruder(client, topics.JOURNAL)(foreign_journal())
     found = wait_for(client, "recorder", "rival", "/intruder and /rig publish rig/journal")
     assert found["other_publishers"] == found["reason"]
     assert client.status("recorder").level == b"\1"
 
 
-def test_a_stepped_sine_says_how_its_sweep_is(client: Client) -> None:
+def test_a_stepped_sine_node_reports_the_state_of_its_sweep(client: Client) -> None:
     client.host(
         SteppedSineNode, parameter_overrides=ros_parameters({"frequencies_hz": [30.0], "begin": True, "current_a": 1.0})
     )
@@ -266,7 +266,7 @@ def test_a_stepped_sine_says_how_its_sweep_is(client: Client) -> None:
     wait_for(client, "stepped_sine", "inactive")
 
 
-def test_every_node_has_its_words() -> None:
+def test_every_node_has_documented_states() -> None:
     assert {name: kind.STATES for name, kind in NODES.items()} == states.BY_NODE
     for words in states.BY_NODE.values():
         assert all(word.doc for word in words)

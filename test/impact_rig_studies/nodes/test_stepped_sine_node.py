@@ -66,7 +66,7 @@ def current_now(client: Client) -> float:
     return float(client.applied.tables()[-1].rows["current"][-1])
 
 
-def test_the_curve_is_the_closed_form(sweeping: Client) -> None:
+def test_the_measured_curve_is_the_closed_form(sweeping: Client) -> None:
     curves = sweeping.collect("sweep/table")
     begin(sweeping)
     with pytest.raises(ServiceFailedError, match="running already"):
@@ -110,7 +110,7 @@ def locking(client: Client) -> Client:
     return client
 
 
-def test_the_phase_is_sought_held_and_published(locking: Client) -> None:
+def test_the_phase_is_locked_held_and_published(locking: Client) -> None:
     samples = locking.collect("sweep/table")
     begin(locking)
     with pytest.raises(ConfigError, match="a sweep is running"):  # at once: all is over in half a second
@@ -128,7 +128,7 @@ def test_the_phase_is_sought_held_and_published(locking: Client) -> None:
 
 
 @pytest.mark.parametrize("cause", ["operator", "stranger"])
-def test_a_lock_that_cannot_go_on_says_why_and_rests(locking: Client, cause: str) -> None:
+def test_a_lock_that_cannot_continue_reports_the_reason_and_stops_the_drive(locking: Client, cause: str) -> None:
     locking.collect("shaker/applied")
     begin(locking)
     locking.wait_until(lambda: current_now(locking) > 0, "the first command")
@@ -143,7 +143,7 @@ def test_a_lock_that_cannot_go_on_says_why_and_rests(locking: Client, cause: str
 
 
 @pytest.mark.parametrize("cause", ["trip", "operator", "stranger"])
-def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: str) -> None:
+def test_a_sweep_that_cannot_continue_reports_the_reason_and_stops_the_drive(sweeping: Client, cause: str) -> None:
     sweeping.collect("shaker/applied")
     begin(sweeping)
     sweeping.wait_until(lambda: current_now(sweeping) > 0, "the first command")
@@ -161,7 +161,7 @@ def test_a_sweep_that_cannot_go_on_says_why_and_rests(sweeping: Client, cause: s
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
 
 
-def test_without_a_rig_nothing_begins(client: Client) -> None:
+def test_no_sweep_starts_without_a_rig(client: Client) -> None:
     client.host(SteppedSineNode, parameter_overrides=ros_parameters({"begin": True}))
     client.wait_active("stepped_sine")
     client.wait_until(lambda: "no rig subscribes" in status(client), "a reason")
@@ -184,7 +184,7 @@ def test_without_a_rig_nothing_begins(client: Client) -> None:
         ({"within_deg": 0.0}, "within_deg must be > 0"),
     ],
 )
-def test_a_bad_plan_is_refused_by_name(client: Client, values: dict[str, object], words: str) -> None:
+def test_an_invalid_plan_is_rejected_by_name(client: Client, values: dict[str, object], words: str) -> None:
     client.host(SteppedSineNode)
     client.wait_active("stepped_sine")
     with pytest.raises(ConfigError, match=words):

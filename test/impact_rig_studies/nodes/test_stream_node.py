@@ -85,7 +85,7 @@ def in_process() -> NDArray[np.void]:
 
 
 @pytest.mark.parametrize(("mode", "block"), [("free_running", 100), ("free_running", 5_000), ("lockstep", 700)])
-def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mode, block):
+def test_a_stream_over_topics_yields_the_bits_of_the_rig_in_process(client, in_process, mode, block):
     host_rig(client, mode, time__peers=[client.name], **STREAM)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -103,7 +103,7 @@ def test_over_topics_come_the_bits_of_the_rig_in_process(client, in_process, mod
         assert rows[name][:RATE_HZ].tobytes() == in_process[name].tobytes(), name
 
 
-def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
+def test_a_stream_in_real_time_yields_the_bits_of_the_rig_in_process(client):
     node = host_rig(client, "realtime", **STREAM)
     client.wait_active("rig")
     scans = client.collect("daq/scan")
@@ -138,7 +138,7 @@ def test_in_real_time_come_the_bits_of_the_rig_in_process(client):
         (1e-16, 'rig/journal: entry 2 at 1.000000000 s: logged "name": "crc32", "value": 0.0, "text": "10000 '),
     ],
 )
-def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, says):
+def test_a_recording_is_verified_only_with_all_its_samples(client, tmp_path, harm, says):
     client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(tmp_path), "name": "run"}))
     host_rig(client, "free_running", time__peers=[client.name, "recorder"], **STREAM)
     client.wait_active("rig", "recorder")
@@ -170,7 +170,7 @@ def test_a_recording_verifies_with_all_its_samples_only(client, tmp_path, harm, 
         assert says in str(verify(run))
 
 
-def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(client):
+def test_a_controller_that_ends_in_real_time_causes_a_ramp_a_row_and_a_warning(client):
     node = host_rig(client, "realtime", **STREAM)
     client.wait_active("rig")
     journal = client.collect("rig/journal")
@@ -195,7 +195,7 @@ def test_in_real_time_a_controller_that_dies_leaves_a_ramp_a_row_and_a_warning(c
     assert node.refusals.counts.total() == 0
 
 
-def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
+def test_invalid_samples_are_rejected_as_a_block_and_counted(client):
     node = host_rig(client, "realtime", **STREAM)
     client.wait_active("rig")
     client.wait_until(lambda: node._session.rig is not None, "the rig")
@@ -214,7 +214,7 @@ def test_hostile_samples_are_refused_whole_counted_and_change_nothing(client):
     assert client.state("rig") == "active"
 
 
-def test_a_rig_ahead_of_time_waits_for_samples_and_names_who_sends_none(client):
+def test_a_free_running_rig_waits_for_samples_and_names_the_silent_sender(client):
     node = host_rig(client, "free_running", time__peers=[client.name], time__peer_timeout_s=0.3, **STREAM)
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
@@ -239,7 +239,7 @@ def starved(client: Client, mode: str = "free_running", **values: Any) -> tuple[
     return node, scans
 
 
-def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) -> None:
+def test_samples_received_during_a_pause_are_played_after_it(client: Client) -> None:
     """If a rig was paused while it waited for samples, their arrival must not end the stream when it resumes."""
     node, scans = starved(client, time__peer_timeout_s=0.3)
     rig = node._session.rig
@@ -254,7 +254,7 @@ def test_samples_that_come_during_a_pause_are_played_after_it(client: Client) ->
     assert (len(scans), rig.stream.state) == (40, StreamState.PLAYING), "it waits for more"
 
 
-def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> None:
+def test_a_rig_stopped_during_a_pause_waits_for_no_samples(client: Client) -> None:
     """The latched shaker must not make the resumption fail halfway: no longer paused, but without work."""
     node, scans = starved(client, time__peer_timeout_s=0.3)
     client.pause()
@@ -266,7 +266,9 @@ def test_a_stop_during_a_pause_leaves_nothing_to_wait_for(client: Client) -> Non
 
 
 @pytest.mark.parametrize("what", ["reset", "suspended"])
-def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+def test_the_timeout_for_samples_restarts_after_a_reset_or_suspension(
+    client: Client, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
     """Samples that were missing before the reset, or during a suspension, must not reject a step at once."""
     node = host_rig(client, "lockstep", time__peers=[client.name], time__peer_timeout_s=0.5, **STREAM)
     client.wait_active("rig")
@@ -285,7 +287,7 @@ def test_the_time_to_wait_for_samples_begins_anew(client: Client, monkeypatch: p
     assert time.monotonic() - began > 0.2
 
 
-def test_of_two_controllers_the_last_counts_and_both_are_named(client):
+def test_the_last_of_two_controllers_is_followed_and_both_are_named(client):
     node = host_rig(client, "lockstep", time__peers=[client.name], **STREAM)
     other = client.host(functools.partial(Node, "other"))
     client.wait_active("rig")
@@ -302,7 +304,7 @@ def test_of_two_controllers_the_last_counts_and_both_are_named(client):
     client.wait_until(lambda: "all send samples" in client.status("rig").message, "both named")
 
 
-def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
+def test_controller_hardware_reads_the_same_over_topics_and_in_process():
     with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as over, LocalRig(FLAT) as alone:
         found = [Hardware(rig).respond(WAVE[: RATE_HZ // 2], rest=RATE_HZ // 10) for rig in (over, alone)]
     assert len(found[0]) == len(found[1]) > RATE_HZ // 2
@@ -310,7 +312,7 @@ def test_a_controllers_hardware_reads_over_topics_what_it_reads_in_process():
     assert np.array_equal(found[0]["current"], found[1]["current"])
 
 
-def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_controller_whose_rig_has_ended_gets_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """It must not wait until its time limit, and then report that no scans have arrived."""
     with RosRig({**FLAT, "time.mode": "free_running"}, hosted=True) as rig:
 
@@ -323,7 +325,7 @@ def test_a_controller_whose_rig_has_died_is_told_so(monkeypatch: pytest.MonkeyPa
             Acquisition(rig).read(10**6, timeout_s=0.5)
 
 
-def test_a_stop_while_a_controller_looks_for_readers_is_not_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_during_the_search_for_readers_is_not_overlooked(monkeypatch: pytest.MonkeyPatch) -> None:
     def is_stopped(rig: RosRig) -> bool:
         rig.client.prepare(Trigger, "rig/stop").call_async(Trigger.Request())
         return any(entry.kind is InputKind.STOP for entry in rig.journal())

@@ -60,7 +60,7 @@ class Console:
         return sum(text in line[2] for line in self.lines)
 
 
-def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> None:
+def test_a_rig_logs_its_start_its_trips_and_peers_that_left(client: Client) -> None:
     console = Console(client)
     node = host_rig(client, drive__frequency_hz=8.0, instruments__faults__planned=[FAULT], daq__seed=7)
     console.wait(LoggingSeverity.INFO, "configured")
@@ -85,7 +85,7 @@ def test_a_rig_says_what_runs_what_trips_and_who_has_left(client: Client) -> Non
     assert console.count("tripped") == 1, "once, however long it lasts"
 
 
-def test_a_peer_that_falls_silent_is_named_once_and_welcomed_back(client: Client) -> None:
+def test_a_silent_peer_is_logged_once_and_its_return_too(client: Client) -> None:
     console = Console(client)
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.3)
     client.wait_active("rig")
@@ -112,7 +112,7 @@ def test_diagnostics_are_named_by_node_and_component_with_a_device_per_rig() -> 
             assert (status.name, status.hardware_id) == (f"cell/two/{node}: {component}", "impact_rig/cell/two")
 
 
-def test_the_source_of_time_follows_nobodys_clock(client: Client) -> None:
+def test_the_publisher_of_the_clock_rejects_use_sim_time(client: Client) -> None:
     host_rig(client)
     client.wait_active("rig")
     with pytest.raises(ConfigError, match="use_sim_time must be false for this node, which publishes the clock"):
@@ -121,7 +121,7 @@ def test_the_source_of_time_follows_nobodys_clock(client: Client) -> None:
     assert client.get_parameters("rig", ["use_sim_time"]) == {"use_sim_time": False}
 
 
-def test_a_rig_that_is_started_with_somebodys_clock_refuses_to_begin(client: Client) -> None:
+def test_a_rig_started_with_use_sim_time_is_not_configured(client: Client) -> None:
     console = Console(client)
     client.host(RigNode, parameter_overrides=ros_parameters({"use_sim_time": True}))
     console.wait(LoggingSeverity.ERROR, "cannot configure: use_sim_time must be false for this node")
@@ -142,5 +142,5 @@ def test_a_rig_that_is_started_with_somebodys_clock_refuses_to_begin(client: Cli
         ),
     ],
 )
-def test_one_line_says_what_decides_a_run(values: dict[str, object], line: str) -> None:
+def test_one_line_summarises_the_settings_of_a_run(values: dict[str, object], line: str) -> None:
     assert summary(from_flat(RigConfig(), values)) == line

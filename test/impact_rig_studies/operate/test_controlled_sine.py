@@ -76,7 +76,7 @@ def walked(bench, plan=PLAN, hold_plan=HELD):
 
 
 @pytest.mark.parametrize("power", [0.7, 1.0, 1.6])
-def test_every_point_is_held_up_and_down(power):
+def test_every_point_of_the_sweep_is_held_up_and_down(power):
     bench = Bench(power)
     sweep = walked(bench)
     assert sweep.state is SweepState.FINISHED
@@ -96,7 +96,7 @@ def test_a_point_that_cannot_be_held_keeps_its_error():
     assert sweep.controlled["corrections"].tolist() == [8.0] * 4
 
 
-def test_a_point_that_is_left_out_takes_no_corrections_from_the_next():
+def test_a_skipped_point_uses_no_corrections_of_the_next():
     """The next point must have all of its corrections, not the rest of the previous point's."""
 
     class Loud(Bench):
@@ -129,13 +129,13 @@ def test_a_limit_ends_the_sweep(limits, words):
 
 
 @pytest.mark.parametrize("values", [{"target": 0.0}, {"tolerance": -1.0}, {"current_limit_a": float("inf")}])
-def test_values_that_cannot_work_are_refused(values):
+def test_impossible_settings_are_rejected(values):
     with pytest.raises(ConfigError, match=next(iter(values))):
         attrs.evolve(HELD, **values)
 
 
 @pytest.mark.parametrize(("what", "target"), [("base", 60e-6), ("superior", 3e-3)])
-def test_on_the_linear_rig_it_is_held_and_dt_is_the_closed_form(what, target):
+def test_the_base_of_the_linear_rig_is_held_and_dt_is_the_closed_form(what, target):
     job = attrs.evolve(
         by_test.job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=(8.8, 9.2)
     )
@@ -147,7 +147,7 @@ def test_on_the_linear_rig_it_is_held_and_dt_is_the_closed_form(what, target):
         assert abs(row["transmissibility"] - wanted) <= 2.0 * row["transmissibility_uncertainty"], row
 
 
-def test_a_held_base_gives_the_prescribed_drive_s_dt():
+def test_a_held_base_yields_the_dt_of_a_prescribed_drive():
     """All gaps and frequencies are checked by `python -m qualification.closed_loop`."""
     job = by_test.job(9.4, 10e-3)
     found = hold(job, HoldPlan(hold=Hold.BASE, target=60e-6))

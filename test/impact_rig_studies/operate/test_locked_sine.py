@@ -69,7 +69,7 @@ class Running:
             self.block()
 
 
-def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell() -> None:
+def test_the_lock_finds_the_resonance_despite_lost_scans_and_stops_after_the_dwell() -> None:
     running = Running()
     running.begin()
     assert running.lock.describe() == "seeking at 8.9 Hz"
@@ -91,7 +91,7 @@ def test_it_finds_the_resonance_though_scans_are_lost_and_rests_after_the_dwell(
     assert running.lock.figures()["phase_deg"] == pytest.approx(-90.0, abs=0.5)
 
 
-def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
+def test_a_locked_stretch_begins_when_the_setpoint_is_active() -> None:
     running = Running()
     running.begin()
     running.block(accepted=False)
@@ -104,7 +104,7 @@ def test_a_stretch_begins_where_the_setpoint_is_in_force() -> None:
     assert running.rested
 
 
-def test_somebody_elses_command_and_silence_end_it() -> None:
+def test_a_command_of_another_client_or_silence_ends_the_lock() -> None:
     running = Running()
     running.begin()
     running.run(2.0)

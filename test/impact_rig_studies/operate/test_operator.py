@@ -82,27 +82,27 @@ def test_every_point_is_set_measured_and_reported():
     assert sweep.state is SweepState.FINISHED
 
 
-def test_a_measurement_that_ends_a_point_takes_none_of_the_next_with_it():
+def test_a_measurement_that_ends_a_point_does_not_count_for_the_next():
     sweep, script = SteppedSine(PLAN), Script(repeats=3)
     operate(sweep, script)
     assert sweep.rows["frequency"].tolist() == [8.0, 8.0, 9.0, 9.0]
 
 
-def test_a_rig_that_stops_ends_the_sweep_with_what_was_measured():
+def test_a_rig_that_stops_ends_the_sweep_which_keeps_its_measurements():
     sweep, script = SteppedSine(PLAN), Script(stops_s=2)
     operate(sweep, script)
     assert (sweep.state, sweep.reason) == (SweepState.ABORTED, "the fuse blew")
     assert sweep.measured == 2
 
 
-def test_measurements_come_before_what_stopped_the_rig():
+def test_measurements_are_processed_before_a_simultaneous_trip():
     """A sweep whose last measurement arrived together with the trip is complete."""
     sweep = SteppedSine(PLAN)
     operate(sweep, Script(stops_s=4))
     assert (sweep.state, sweep.reason, sweep.measured) == (SweepState.FINISHED, "", 4)
 
 
-def test_a_refused_point_is_an_error_that_keeps_the_points_before_it():
+def test_a_rejected_point_is_an_error_that_keeps_earlier_points():
     sweep = SteppedSine(PLAN)
     with pytest.raises(CommandError, match="no"):
         operate(sweep, Script(refuses=9.0))
@@ -116,7 +116,7 @@ def test_a_point_that_is_never_measured_is_given_up():
     assert script.seconds == PLAN.dwell_limit_s + 1
 
 
-def test_an_operator_that_is_stopped_takes_the_current_away_once():
+def test_an_aborted_operator_sets_the_current_to_zero_once():
     done = []
     operator = Operator(SteppedSine(PLAN), done.append, lambda _sweep: None)
     operator.begin(0)
@@ -129,7 +129,7 @@ def test_an_operator_that_is_stopped_takes_the_current_away_once():
     assert operator.run.reason == "enough"
 
 
-def test_an_accepted_change_is_read_off_shaker_applied():
+def test_an_accepted_change_is_confirmed_by_shaker_applied():
     rows = np.zeros(2, APPLIED)
     rows["frequency"], rows["current"], rows["time"] = [8.0, 9.0], [0.5, 0.25], [0.0, 0.02]
     table = Table(5_000_000, rows)

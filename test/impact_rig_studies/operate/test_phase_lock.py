@@ -87,7 +87,7 @@ def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
 
 
 @pytest.mark.parametrize(("start_hz", "side", "low_hz", "high_hz"), [(9.9, 1.0, 5.0, 10.0), (8.1, -1.0, 8.0, 20.0)])
-def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, side, low_hz, high_hz):
+def test_a_transient_at_an_end_of_the_range_is_not_taken_for_a_resonance(start_hz, side, low_hz, high_hz):
     """The frequency does not change between two samples: a slope of 0 must not keep the lock at the end forever."""
 
     class Ringing(Resonance):
@@ -103,7 +103,7 @@ def test_a_transient_that_dies_at_an_end_of_the_range_is_no_resonance(start_hz, 
 
 
 @pytest.mark.parametrize(("sample_s", "command_s"), [(0.5, 0.6), (0.1, 0.03)])
-def test_it_locks_where_commands_take_their_time(sample_s, command_s):
+def test_the_lock_works_with_delayed_commands(sample_s, command_s):
     """Commands need time: if samples counted as consecutive, the phase would be held and nothing would lock."""
 
     class Late(Resonance):
@@ -116,7 +116,7 @@ def test_it_locks_where_commands_take_their_time(sample_s, command_s):
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
 
-def test_it_follows_a_resonance_that_moves():
+def test_the_lock_follows_a_moving_resonance():
     bench = Resonance()
     lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6))
     bench.set(lock.start(0))
@@ -136,14 +136,14 @@ def test_it_follows_a_resonance_that_moves():
         (Resonance(), {"high_hz": 8.5}, "no resonance was found from 8.1 Hz within 60 s"),
     ],
 )
-def test_what_ends_it_is_said_and_the_current_is_zero(bench, changes, words):
+def test_an_aborted_lock_reports_the_reason_and_sets_the_current_to_zero(bench, changes, words):
     lock = lock_on(attrs.evolve(PLAN, **changes), bench)
     assert lock.state is SweepState.ABORTED
     assert words in lock.reason
     assert bench.setpoint.current_a == 0.0
 
 
-def test_a_base_that_stands_still_is_no_reference():
+def test_a_base_at_rest_is_not_used_as_a_reference():
     bench = Resonance()
     bench.still = True
     assert "do not move" in lock_on(PLAN, bench).reason
@@ -193,7 +193,7 @@ def locked() -> PhaseLock:
     return lock_on(PLAN, local(linear()))
 
 
-def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
+def test_the_lock_on_the_linear_rig_is_at_the_true_quarter_cycle(locked):
     assert locked.state is SweepState.FINISHED, locked.reason
     assert locked.locked_ns is not None
     assert locked.locked_ns <= 60 * NS_PER_S
@@ -202,7 +202,7 @@ def test_on_the_linear_rig_the_lock_is_at_the_true_quarter(locked):
     assert np.degrees(np.mean(late["phase"])) == pytest.approx(-90.0, abs=0.5)
 
 
-def test_a_locked_stretch_states_how_well_it_is_known(locked):
+def test_a_locked_stretch_states_its_uncertainty(locked):
     """Frequency and DT of the linear rig are known in closed form."""
     dwelt = locked.rows[locked.rows["locked"] == 1.0][4:]
     found = mean(dwelt, locked.u_gain)
@@ -214,12 +214,12 @@ def test_a_locked_stretch_states_how_well_it_is_known(locked):
     assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three samples say nothing"
 
 
-def test_it_gives_the_same_bits_twice(locked):
+def test_a_lock_is_reproducible_bit_for_bit(locked):
     again = lock_on(PLAN, local(linear()))
     assert again.rows.tobytes() == locked.rows.tobytes()
 
 
-def test_it_is_held_again_after_the_gap_is_changed_under_way():
+def test_the_lock_recovers_after_a_change_of_the_gap():
     rig = local(from_flat(RigConfig(), {"barriers.gap_m": 6e-3, "daq.rate_hz": 2000}))
     lock = PhaseLock(LockPlan(start_hz=9.0, current_a=0.52, dwell_s=1e6))
     rig.set(lock.start(0))
@@ -234,7 +234,7 @@ def test_it_is_held_again_after_the_gap_is_changed_under_way():
     assert np.degrees(late["phase"]).mean() == pytest.approx(-90.0, abs=2.0)
 
 
-def test_a_trip_ends_it():
+def test_a_trip_ends_the_lock():
     rig = local(from_flat(linear(), {"shaker.travel_limit_m": 1e-5}))
     lock = lock_on(PLAN, rig)
     assert lock.reason.startswith("the rig tripped")
@@ -243,7 +243,7 @@ def test_a_trip_ends_it():
 @pytest.mark.ros
 @pytest.mark.pipeline
 @pytest.mark.timeout(200)
-def test_over_topics_it_has_the_same_bits(locked):
+def test_a_lock_over_topics_yields_the_same_bits(locked):
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.driver import RosRig
 

@@ -75,7 +75,7 @@ def test_several_measurements_per_point_and_rows_of_other_points_are_ignored():
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_an_unsettled_point_is_kept_or_not(keep):
+def test_an_unsettled_point_is_kept_or_skipped_as_configured(keep):
     one = sweep(keep_unsettled=keep, retries=0)
     one.start(0)
     answer = one.on_measurement(row(8.0, "not_settled"), S)
@@ -84,7 +84,7 @@ def test_an_unsettled_point_is_kept_or_not(keep):
 
 
 @pytest.mark.parametrize("status", ["lost_blocks", "silence", "swapped_channels", "not_finite"])
-def test_refused_measurements_are_borne_so_often(status):
+def test_failed_measurements_are_retried_a_limited_number_of_times(status):
     one = sweep(retries=2)
     one.start(0)
     assert one.on_measurement(row(8.0, status), S) is None
@@ -103,7 +103,7 @@ def test_a_point_over_range_is_skipped_or_ends_the_sweep(skip):
     assert one.skipped == ([8.0] if skip else [])
 
 
-def test_waiting_is_bounded():
+def test_the_wait_for_a_measurement_is_bounded():
     one = sweep(dwell_limit_s=30.0, accept_limit_s=2.0)
     one.start(0)
     assert one.on_time(2 * S) is None
@@ -116,7 +116,7 @@ def test_waiting_is_bounded():
     assert one.reason == "no measurement at 8 Hz within 30 s"
 
 
-def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
+def test_a_trip_or_a_command_of_another_client_ends_the_sweep():
     one = sweep()
     one.start(0)
     assert one.abort("over-travel") == Setpoint(8.0, 0.0)
@@ -145,12 +145,12 @@ def test_a_trip_and_a_stranger_at_the_knob_end_the_sweep():
         ({"dwell_limit_s": -1.0}, "dwell_limit_s must be > 0"),
     ],
 )
-def test_a_plan_that_cannot_work_is_refused(changes, message):
+def test_an_impossible_plan_is_rejected(changes, message):
     with pytest.raises(ConfigError, match=message):
         sweep(**changes)
 
 
-def test_closed_loop_with_the_tracker_gives_the_curve():
+def test_a_closed_loop_with_the_tracker_measures_the_curve():
     """This is a small campaign: the tracker's rows drive the sweep, and its commands drive the closed-form rig."""
     rate, block = 2000, 200
     rng = np.random.default_rng(1)

@@ -78,14 +78,14 @@ def reported(tmp_path_factory):
     return directory
 
 
-def test_the_page_holds_every_name_as_text_and_nothing_that_runs(reported):
+def test_the_page_contains_every_name_as_text_and_no_active_content(reported):
     text = (reported / "report.html").read_text()
     assert_harmless(text)
     assert "&lt;img src=x onerror=alert(1)&gt;" in text
     assert "{{ 7*7 }}" in text
 
 
-def test_every_file_is_in_the_directory_and_of_a_plain_name(reported):
+def test_every_file_is_in_the_directory_and_has_a_plain_name(reported):
     figures = reported / "figures"
     assert list((figures / "study_x").iterdir()) == []
     made = [path.name for path in figures.iterdir() if path.is_file()]
@@ -93,7 +93,7 @@ def test_every_file_is_in_the_directory_and_of_a_plain_name(reported):
     assert [name for name in made if not re.fullmatch(r"\w[\w.+=,-]*\.(png|svg|pdf|csv)", name, re.ASCII)] == []
 
 
-def test_no_cell_of_a_table_is_a_formula(reported, tmp_path):
+def test_no_cell_of_a_csv_table_is_a_formula(reported, tmp_path):
     assert main(["export", str(reported), "points", str(tmp_path / "points.csv")]) == 0
     for file in [*reported.rglob("*.csv"), tmp_path / "points.csv"]:
         for row in csv.reader(file.read_text().splitlines()):
@@ -102,7 +102,7 @@ def test_no_cell_of_a_table_is_a_formula(reported, tmp_path):
                 assert not re.match(r"\s*[+-](?![\d.]+(e[+-]\d+)?$)", cell), file
 
 
-def test_a_link_in_the_place_of_the_figures_is_not_followed(reported, tmp_path, capsys):
+def test_a_link_in_place_of_the_figures_is_not_followed(reported, tmp_path, capsys):
     directory = hostile_campaign(tmp_path / "campaign")
     (tmp_path / "elsewhere").mkdir()
     (directory / "figures").symlink_to(tmp_path / "elsewhere")
@@ -111,7 +111,7 @@ def test_a_link_in_the_place_of_the_figures_is_not_followed(reported, tmp_path, 
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_a_browser_runs_and_fetches_nothing_and_takes_the_style(reported, browser):
+def test_a_browser_runs_and_fetches_nothing_and_applies_the_style(reported, browser):
     with shown(browser, reported / "report.html", *VIEWS[0]) as seen:
         assert seen.errors == []
         assert [one for one in seen.fetched if not one.startswith(("file:", "data:"))] == []
@@ -129,7 +129,7 @@ def drawn(name):
 
 
 @pytest.mark.parametrize("name", HOSTILE_NAMES, ids=file_name)
-def test_every_part_of_a_page_takes_any_name(name):
+def test_every_part_of_a_page_accepts_any_name(name):
     sections = [page.section(name, page.paragraph(name), page.figures([drawn(name)]))]
     parts = [
         page.title(name), page.cover([(name, name)]), page.contents(sections), *sections, page.heading(name),

@@ -32,7 +32,7 @@ def text_of(page):
     return " ".join(re.sub(r"<[^>]*>", " ", text).split())
 
 
-def test_an_imported_campaign_is_reported_without_paper_and_nominal_rig(tmp_path):
+def test_the_report_of_an_imported_campaign_omits_paper_and_nominal_rig(tmp_path):
     directory = hostile_campaign(tmp_path / "campaign", "My rig, May 2026")
     info = run.open_finished(directory).info.copy()
     info["rate"] = 2048.0

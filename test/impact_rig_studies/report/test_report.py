@@ -137,7 +137,7 @@ def page(reported):
     return Page((reported / "report.html").read_text())
 
 
-def test_the_page_is_whole_and_fetches_nothing(page, reported):
+def test_the_page_is_complete_and_fetches_nothing(page, reported):
     assert page.open == []
     assert len(page.identifiers) == len(set(page.identifiers))
     for address in page.addresses:
@@ -159,7 +159,7 @@ def test_every_colour_follows_the_theme(reported):
     assert set(DARK) == set(NAMES.values())
 
 
-def test_the_page_tells_what_the_data_say(page, reported):
+def test_the_page_states_the_results_of_the_campaign(page, reported):
     done = run.open_finished(reported)
     reductions = done.reductions()
     for gap, value in reductions.percent().items():
@@ -190,7 +190,7 @@ continue: {over: gap_m, from: 0.002, to: 0.036, at: [0.010], points: 8}
 """
 
 
-def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(reported, compared, capsys):
+def test_the_page_states_the_evidence_for_each_verdict_and_its_chosen_constants(reported, compared, capsys):
     text = Page((compared / "report.html").read_text()).text
     for verdict in run.open_finished(compared / "out").verdicts():
         assert f"{verdict.word} {verdict.kind.value} {verdict.detail}" in text
@@ -203,7 +203,7 @@ def test_the_page_tells_what_each_verdict_is_worth_and_owes_to_the_choice(report
     assert "holds no campaign that varies constants" in capsys.readouterr().err
 
 
-def test_continued_motions_are_drawn_beside_what_was_measured(reported, compared, tmp_path, capsys):
+def test_continued_motions_are_drawn_with_the_measurements(reported, compared, tmp_path, capsys):
     kept = json.loads((compared / "report.json").read_text())["figures"]["continued_0"]
     stable, unstable, measured = kept["cases"]
     assert max(unstable["gap_m"]) < 9.7e-3  # the flip at 9.69 mm
@@ -257,7 +257,7 @@ def stands_for(shown, number):
     return float(shown) in (round(number, len(decimals)), float(f"{number:.{digits}g}"))
 
 
-def test_every_number_of_the_page_is_kept_for_programs(page, reported):
+def test_every_number_of_the_page_is_in_a_machine_readable_file(page, reported):
     numbers, written = kept(reported)
     shown = {text.replace("−", "-").lstrip("+") for data in page.said for text in NUMBER.findall(data)}
     assert len(shown) > 150
@@ -265,7 +265,7 @@ def test_every_number_of_the_page_is_kept_for_programs(page, reported):
     assert strange == []
 
 
-def test_a_number_that_nobody_kept_would_be_found(reported):
+def test_the_check_finds_a_number_that_is_in_no_file(reported):
     numbers, written = kept(reported)
     for invented in ("31.4159", "-0.271828", "65537"):
         assert invented not in written
@@ -283,7 +283,7 @@ def test_the_cover_names_paper_configuration_and_versions(page, reported):
     assert f"Arithmetic version {ARITHMETIC}" in page.text
 
 
-def test_contents_lead_to_every_section(reported):
+def test_the_contents_link_to_every_section(reported):
     text = (reported / "report.html").read_text()
     contents = re.search(r"<nav.*?</nav>", text, flags=re.DOTALL)[0]
     sections = re.findall(r'<section[^>]* id="([^"]+)"', text)
@@ -297,7 +297,7 @@ def test_the_instruments_are_those_of_the_certificate(page):
         assert re.search(rf"{row['name'].decode()} -?[\d.]+ to [\d.]+ \S+ \S+ \S+ {re.escape(shown)} ", page.text)
 
 
-def test_every_figure_can_be_enlarged_and_gives_its_numbers(reported):
+def test_every_figure_can_be_enlarged_and_links_to_its_numbers(reported):
     text = (reported / "report.html").read_text()
     figures = re.findall(r'<figure id="([^"]+)".*?</figure>', text, flags=re.DOTALL)
     assert figures
@@ -315,7 +315,7 @@ def test_every_figure_can_be_enlarged_and_gives_its_numbers(reported):
     assert found == pytest.approx({frequency: point.dt for frequency, point in points.items()}, rel=1e-8)
 
 
-def test_a_prediction_is_drawn_where_it_exists_and_lasts():
+def test_a_prediction_is_drawn_where_it_exists_and_is_stable():
     frequencies, current_a, gap_m = np.linspace(8.9, 9.3, 9), 0.52, 0.02
     lasting = [b.take(b.stable) for b in prediction.curves(RigConfig(), frequencies, gap_m, current_a=current_a)]
     found = predicted(RigConfig(), gap_m, frequencies, current_a)
@@ -327,7 +327,7 @@ def test_a_prediction_is_drawn_where_it_exists_and_lasts():
     assert line.columns["gap_m"] == sorted(motions.gap_m[motions.stable])
 
 
-def test_figures_lie_beside_the_page(reported):
+def test_figures_are_stored_next_to_the_page(reported):
     names = {path.stem for path in (reported / "figures").glob("*.svg")}
     assert names == {path.stem for path in (reported / "figures").glob("*.png")}
     assert {"fig6_without_sphere", "fig7_all_gaps", "fig8a_gap_2mm", "fig8e_gap_10mm", "regimes", "reductions"} <= names
@@ -335,7 +335,7 @@ def test_figures_lie_beside_the_page(reported):
     assert {"trace_gap_2mm", "phase_gap_10mm", "amplitudes"} <= names
 
 
-def test_a_directory_without_campaign_is_refused(tmp_path, capsys):
+def test_a_directory_without_a_campaign_is_rejected(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 1
     printed = capsys.readouterr().err
     assert "is not a campaign's directory" in printed
@@ -346,7 +346,7 @@ SHOWN = (VIEWS[0], VIEWS[3], *(pytest.param(*view, marks=pytest.mark.slow) for v
 
 
 @pytest.mark.parametrize(("width", "scheme"), SHOWN)
-def test_a_browser_finds_nothing_wrong(reported, browser, width, scheme):
+def test_a_browser_finds_no_fault_in_the_page(reported, browser, width, scheme):
     with shown(browser, reported / "report.html", width, scheme) as page:
         assert troubles(page) == []
 
@@ -358,7 +358,7 @@ BAD = """\
 """
 
 
-def test_a_browser_finds_what_is_wrong(browser, tmp_path):
+def test_a_browser_finds_planted_faults(browser, tmp_path):
     (tmp_path / "bad.html").write_text(BAD)
     with shown(browser, tmp_path / "bad.html", *VIEWS[0]) as page:
         found = "\n".join(troubles(page))
@@ -385,7 +385,7 @@ def drawable(**changes):
 @pytest.mark.parametrize(
     ("impacts", "shade", "text"), [(2.0, PERIODIC, "2.0"), (0.0, QUIET, "0.0"), (np.nan, PERIODIC, "")]
 )
-def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(monkeypatch, impacts, shade, text):
+def test_points_without_counted_impacts_are_not_drawn_as_free_of_impacts(monkeypatch, impacts, shade, text):
     """A measurement without an accelerometer must not be drawn as one without impacts, with nan of them."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
     (figure,) = dt.regime_map(drawable(impacts_per_cycle=impacts))
@@ -396,7 +396,7 @@ def test_where_nobody_counted_impacts_the_map_does_not_say_that_there_are_none(m
     assert {one.get_text() for one in axis.texts} == ({text} if text else set())
 
 
-def test_a_phase_on_either_side_of_half_a_turn_is_in_the_figure(monkeypatch):
+def test_phases_on_both_sides_of_half_a_turn_are_visible_in_the_figure(monkeypatch):
     """A point that noise has turned into a lead of 179° must not be invisible above the axis."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
     for figure in dt.by_frequency(drawable(phase=np.pi - 0.01), RigConfig()):

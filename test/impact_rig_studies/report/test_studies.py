@@ -75,7 +75,7 @@ def test_reductions_are_drawn_over_the_restitution(done, drawn):
     assert caption == "Study “restitution”: 6 settled points, ± 2u."
 
 
-def test_a_case_that_several_axes_show_is_one_entry_of_the_legend_and_labels_are_within_the_figure(done, monkeypatch):
+def test_the_legend_lists_each_case_once_and_labels_are_within_the_figure(done, monkeypatch):
     """Each gap was listed twice, and the long legend pushed a label over the edge of the figure."""
     figures = []
     monkeypatch.setattr(dt, "Drawn", lambda _name, figure, _caption, _lines: figures.append(figure))
@@ -98,7 +98,7 @@ def test_transmissibility_is_drawn_over_the_frequency(drawn):
         np.testing.assert_allclose(line.get_ydata(orig=False), [point.dt for point in points if point.gap_m == gap])
 
 
-def test_points_whose_sphere_did_not_strike_are_drawn_open_and_named(drawn):
+def test_points_without_impacts_are_drawn_open_and_named(drawn):
     points, axis, caption = drawn("quiet")
     assert [point.status for point in points] == ["ok", "no_impacts", "no_impacts"]
     (marked,) = [line for line in axis.lines if line.get_markerfacecolor() == "white"]
@@ -107,7 +107,7 @@ def test_points_whose_sphere_did_not_strike_are_drawn_open_and_named(drawn):
     assert caption.endswith("s; a sphere slower than 0.2 mm/s could still strike).")
 
 
-def test_two_points_are_no_figure(done):
+def test_two_points_are_too_few_for_a_figure(done):
     pair = [point for point in done.points if point.study == "pair"]
     assert not list(studies.study_figures("pair", pair, done.curves, done.calibration))
     assert not list(studies.study_figures("pair", [], done.curves, done.calibration))
