@@ -54,7 +54,7 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `tools` and `qualificatio
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
 LONGEST_FILES = (
-    "test_guide", "test_fuzz", "test_live_page", "test_demo", "test_three_processes", "test_told_to_end",
+    "test_guide", "test_fuzz", "test_live_page", "test_demo", "test_three_processes", "test_signals",
     "test_examples",
     "test_digests", "test_dask", "test_notebook", "test_report", "test_playback_page", "test_accessibility",
     "test_endings", "test_replay", "test_ros_rig", "test_extending", "test_hostile_recordings", "test_ros",

@@ -157,12 +157,12 @@ COMPUTED = [(claim, evidence.strip("`")) for _, claim, evidence in CLAIMS if evi
 
 
 @pytest.mark.parametrize(("claim", "name"), COMPUTED)
-def test_a_claim_is_what_the_code_gives_now(claim: str, name: str) -> None:
+def test_each_claim_agrees_with_the_code(claim: str, name: str) -> None:
     assert any(text in claim for text in globals()[name]().split("|")) or globals()[name]().lower() in claim.lower()
 
 
 @pytest.mark.parametrize("page", sorted({page for page, _, _ in CLAIMS}))
-def test_every_number_of_a_page_is_a_claim_and_every_claim_on_its_page(page: str) -> None:
+def test_every_number_of_a_page_is_a_claim_and_every_claim_is_on_its_page(page: str) -> None:
     text = prose((ROOT / page).read_text(encoding="utf-8"))
     for _, claim, _ in (row for row in CLAIMS if row[0] == page):
         assert claim in text, f"{page} does not say: {claim}"
@@ -172,7 +172,7 @@ def test_every_number_of_a_page_is_a_claim_and_every_claim_on_its_page(page: str
 
 
 @pytest.mark.parametrize("evidence", sorted({evidence for _, _, evidence in CLAIMS}))
-def test_the_evidence_exists(evidence: str) -> None:
+def test_the_evidence_of_every_claim_exists(evidence: str) -> None:
     for one in re.findall(r"`([^`]+)`", evidence):
         path, _, name = one.partition("::")
         if "/" in path.split(" ")[0]:

@@ -48,17 +48,17 @@ def value_lines(path):
             yield ".".join(above[2:]), line, found
 
 
-def test_there_is_a_nominal_configuration():
+def test_the_folder_contains_a_nominal_configuration():
     assert "nominal.yaml" in [path.name for path in FILES]
 
 
 @pytest.mark.parametrize("path", CAMPAIGNS, ids=lambda path: path.name)
-def test_a_campaign_file_loads(path):
+def test_every_campaign_file_loads(path):
     assert load_campaign(path).planned()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_file_loads_and_is_a_ros_parameter_file(path):
+def test_every_file_loads_and_is_a_ros_parameter_file(path):
     assert isinstance(config.load_config(path), RigConfig)
     assert set(yaml.safe_load(path.read_text(encoding="utf-8"))["/**"]) == {"ros__parameters"}
 
@@ -73,7 +73,7 @@ def test_every_value_of_a_file_has_unit_and_origin(path):
     assert [name for name, _, _ in lines] == list(values)
 
 
-def test_nominal_is_the_default_configuration_complete():
+def test_the_nominal_file_is_the_complete_default_configuration():
     path = config_dir() / "nominal.yaml"
     assert config.load_config(path) == RigConfig()
     assert [name for name, _, _ in value_lines(path)] == list(FIELDS)

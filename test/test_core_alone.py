@@ -87,13 +87,13 @@ def python(core: Path, code: str) -> str:
     return done.stdout
 
 
-def test_every_module_is_imported(core: Path) -> None:
+def test_every_module_of_the_core_can_be_imported(core: Path) -> None:
     modules = python(core, EVERY_MODULE).split()
     assert len(modules) > 100
     assert "impact_rig.runs.verification" in modules
 
 
-def test_the_command_line_has_the_rigs_own_commands(core: Path) -> None:
+def test_the_command_line_of_the_core_has_the_commands_of_the_rig(core: Path) -> None:
     page = python(
         core, "import alone; from impact_rig.cli.main import command_line; print(command_line().format_help())"
     )
@@ -102,7 +102,7 @@ def test_the_command_line_has_the_rigs_own_commands(core: Path) -> None:
     assert found.isdisjoint({"lab", "campaign", "map", "import", "report"})
 
 
-def test_its_own_tests_pass(core: Path) -> None:
+def test_the_tests_of_the_core_pass(core: Path) -> None:
     tests = [f"test/impact_rig/{name}" for name in TESTS]
     words = [*tests, "-q", "--check", "-p", "no:cacheprovider", "-p", "no:xdist"]
     python(core, f"import sys, alone, pytest; sys.exit(pytest.main({words!r}))")

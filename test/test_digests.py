@@ -75,24 +75,24 @@ def compiled(directory: Path) -> Recorded:
     return record(directory, BARE, "long", "short", "--save", str(directory / "rows"))
 
 
-def test_this_machine_is_a_witness(compiled: Recorded) -> None:
+def test_this_machine_reproduces_the_committed_digests(compiled: Recorded) -> None:
     assert {run for run, _ in compiled.digests} == {run.name for run in RUNS}
     compiled.assert_committed()
 
 
-def test_no_library_decides_a_bit(compiled: Recorded, directory: Path) -> None:
+def test_no_bit_depends_on_a_library(compiled: Recorded, directory: Path) -> None:
     """The masks make OpenBLAS, NumPy and glibc use the code for an old CPU."""
     record(directory, LIBRARIES, "long", "short", "--against", str(directory / "rows")).assert_committed()
 
 
 @pytest.mark.slow
-def test_the_compiler_decides_no_bit(compiled: Recorded, directory: Path) -> None:
+def test_no_bit_depends_on_the_compiler(compiled: Recorded, directory: Path) -> None:
     """Numba compiles for a CPU without vectors or fused multiply-add."""
     masked = record(directory, LLVM_GENERIC, "long", "short", "--against", str(directory / "rows"))
     masked.assert_committed()
 
 
-def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
+def test_plain_python_yields_the_compiled_bits(directory: Path) -> None:
     """A kernel computes what its Python text says, so debuggers and coverage see the same physics."""
     compiled = record(directory, BARE, "quick", "--save", str(directory / "quick"))
     plain = record(directory, BARE, "quick", "--against", str(directory / "quick"), IMPACT_RIG_KERNELS="plain")
@@ -103,14 +103,14 @@ def test_plain_python_gives_the_compiled_bits(directory: Path) -> None:
 
 
 @pytest.mark.slow
-def test_plain_python_gives_the_committed_bits(compiled: Recorded, directory: Path) -> None:
+def test_plain_python_yields_the_committed_bits(compiled: Recorded, directory: Path) -> None:
     plain = record(directory, BARE, "short", "--against", str(directory / "rows"), IMPACT_RIG_KERNELS="plain")
     assert {run for run, _ in plain.digests} == {run.name for run in known(SHORT)}
     assert plain.said == {}
     assert plain.digests.items() <= compiled.digests.items()
 
 
-def test_the_committed_digests_are_those_of_the_runs() -> None:
+def test_the_committed_digests_cover_exactly_the_runs() -> None:
     """No run is left out, and no digest is left over; laws that are not finished have no line yet."""
     header = digests.FILE.read_text(encoding="utf-8").splitlines()
     assert [line for line in header if line.startswith("#")] == digests.HEADER.splitlines()
@@ -134,7 +134,7 @@ def test_one_changed_bit_changes_a_digest_and_is_found() -> None:
     assert digests.first_difference({"daq/scan": rows}, {"daq/scan": rows.copy()}) == ""
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_digests_are_read_back(tmp_path: Path) -> None:
     one = {("default", "truth/impacts"): digests.digest(np.arange(3.0))}
     digests.write(one, tmp_path / "digests.txt")
     assert digests.read(tmp_path / "digests.txt") == one
@@ -143,7 +143,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert os.fspath(digests.FILE.relative_to(ROOT)) == "test/data/digests.txt"
 
 
-def test_the_figure_says_whether_all_agree_and_keeps_its_neighbours(
+def test_the_figure_states_whether_all_agree_and_keeps_other_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures = tmp_path / "bench.json"

@@ -71,7 +71,7 @@ def by_place(block):
     return f"{block.page}:{block.line}"
 
 
-def test_nothing_is_wrong_in_any_page():
+def test_every_page_is_free_of_faults():
     found = [fault for page in TOOL["pages"]().values() for fault in TOOL["faults"](page)]
     assert found == []
     assert len(BLOCKS) > 40
@@ -111,7 +111,7 @@ def kernels_that_read_aloud() -> list[Callable[..., Any]]:
     return own
 
 
-def test_a_symbol_of_the_kernels_means_one_thing():
+def test_each_symbol_of_the_kernels_has_one_meaning():
     assert [symbol for symbol, count in Counter(known_symbols()).items() if count > 1] == []
 
 
@@ -145,7 +145,7 @@ def test_every_letter_in_the_code_of_kernels_is_listed():
     assert {one for one in letters if one[2] not in known and not re.fullmatch(r"o_\d", one[2])} == set()
 
 
-def test_every_symbol_of_the_equations_of_motion_stands_in_the_table_below_them():
+def test_the_table_lists_every_symbol_of_the_equations_of_motion():
     """All but the three states and what the equations themselves define, such as m_a, c_f and K_f."""
     text = (
         (ROOT / "docs" / "explanation" / "physics.md")
@@ -160,7 +160,7 @@ def test_every_symbol_of_the_equations_of_motion_stands_in_the_table_below_them(
     assert found - {one[:3] for one in known} == {"x_b", "x_1", "x_2", "t", "F", "F_μ"}
 
 
-def test_a_test_that_runs_a_page_reads_it():
+def test_every_test_that_runs_a_page_names_it():
     for (page, _), owner in TOOL["RUN_BY"].items():
         named = Path(page).stem if page.startswith("docs/") else Path(page).parent.name
         assert re.search(rf"\b{named}\b", (ROOT / owner).read_text(encoding="utf-8")), owner
@@ -213,13 +213,13 @@ def test_a_test_that_runs_a_page_reads_it():
         ("[x](explanation/physics.md#nothing)", "explanation/physics.md has no heading #nothing"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named(text, fault):
+def test_each_planted_fault_is_named(text, fault):
     (found,) = TOOL["faults"](TOOL["Page"].parse("docs/page.md", text))
     assert found.startswith("docs/page.md:")
     assert fault in found
 
 
-def test_the_menu_of_make_names_what_there_is():
+def test_the_menu_of_make_lists_the_existing_targets():
     menu = re.findall(r"^(\w+):.*##.*?(ARGS=(?:'[^']*'|\S+))", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert len(menu) > 8
     text = "\n".join(f"make {target} {arguments}" for target, arguments in menu)
@@ -227,7 +227,7 @@ def test_the_menu_of_make_names_what_there_is():
     assert list(TOOL["faults"](page)) == []
 
 
-def test_what_is_right_is_not():
+def test_valid_text_has_no_faults():
     text = (
         "```sh\nmake bench ONLY=physics; make  # all\nmake figures ARGS='paper.svg lab_pictures'\n```\n\n"
         "`build/bench.json`, `test_codec.py`, "
@@ -238,7 +238,7 @@ def test_what_is_right_is_not():
 
 
 @pytest.mark.parametrize("page", [name for name in TOOL["pages"]() if re.match(r"docs/(?!decisions)", name)])
-def test_a_page_begins_with_one_sentence_that_says_what_it_is_for(page):
+def test_each_page_begins_with_one_sentence_about_its_purpose(page):
     text = re.sub(r"<!--.*?-->\s*|`[^`]*`", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL)
     title, first = [part.strip() for part in text.split("\n\n") if part.strip()][:2]
     assert title.startswith("# ")
@@ -247,13 +247,13 @@ def test_a_page_begins_with_one_sentence_that_says_what_it_is_for(page):
 
 
 @pytest.mark.parametrize("block", [block for block in BLOCKS if block.language == "sh"], ids=by_place)
-def test_shell_is_shell(block):
+def test_shell_blocks_have_valid_syntax(block):
     done = subprocess.run(["bash", "-n"], input=block.content, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
-def test_python_runs(block, monkeypatch, tmp_path):
+def test_python_blocks_run(block, monkeypatch, tmp_path):
     """A session (`>>>`) prints what the page shows; other code runs to its end."""
     if ">>>" in block.content:
         monkeypatch.chdir(tmp_path)  # it may write
@@ -285,7 +285,7 @@ def test_the_example_of_the_package_runs():
 
 
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)
-def test_yaml_is_accepted(block, tmp_path):
+def test_yaml_blocks_are_accepted(block, tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(block.content, encoding="utf-8")
     if block.page == "docs/how-to/campaign.md":
@@ -340,7 +340,7 @@ def test_every_dotted_name_on_a_page_can_be_imported():
     assert [(page, name) for page, name in found if not is_in_python(name)] == []
 
 
-def test_what_takes_a_path_takes_a_string_too():
+def test_functions_that_accept_a_path_accept_a_string_too():
     """It holds for all public names, and for those that the Python of the pages imports, with their methods."""
     pytest.importorskip("rclpy")
     wrong, seen = [], set()
@@ -363,7 +363,7 @@ def test_what_takes_a_path_takes_a_string_too():
     assert wrong == []
 
 
-def test_the_table_of_the_first_measurement_is_right_in_itself():
+def test_the_table_of_the_first_measurement_is_consistent():
     """It has the paper's numbers, the closed form, and the reductions that follow from the shown transmissibilities."""
     (block,) = (
         block
@@ -381,7 +381,7 @@ def test_the_table_of_the_first_measurement_is_right_in_itself():
         assert difference == pytest.approx(ours - paper, abs=0.11)
 
 
-def test_the_reductions_on_the_page_of_the_paper_are_those_of_the_paper_and_of_the_first_measurement():
+def test_the_reductions_on_the_page_of_the_paper_agree_with_their_sources():
     text = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
     paper, rig = (
         [float(one) for one in re.findall(r"([\d.]+) %", re.search(rf"^\| {row} \|.*$", text, re.MULTILINE)[0])]
@@ -392,7 +392,7 @@ def test_the_reductions_on_the_page_of_the_paper_are_those_of_the_paper_and_of_t
     assert rig == [float(one) for one in re.findall(r"^ +\d+ +[\d.]+ +([\d.]+)", table, re.MULTILINE)]
 
 
-def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
+def test_removing_the_sphere_takes_as_long_as_the_first_measurement_states():
     """It is about ten seconds of rig time."""
     text = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")
     assert "Click *none* to remove the sphere. After about ten seconds DT is 110." in text
@@ -414,5 +414,5 @@ def test_taking_the_sphere_away_takes_as_long_as_the_first_measurement_says():
 
 
 @pytest.mark.parametrize("text", ["`python`", "`ros2`", "`ros2 run impact_rig`", "`make`", "`ros2 param set X`"])
-def test_a_command_that_is_only_named_is_none(text):
+def test_the_bare_name_of_a_program_is_not_checked_as_a_command(text):
     assert list(TOOL["faults"](TOOL["Page"].parse("page.md", text))) == []

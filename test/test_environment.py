@@ -80,7 +80,7 @@ def versions(*parts: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("python", lock.PYTHONS)
-def test_every_pin_serves_every_python(python: str) -> None:
+def test_every_pin_supports_every_python(python: str) -> None:
     """Compare with the index at the time of the choice; `make lock ARGS=--check` queries it again."""
     unfit = []
     for line in [line for part in LINES.values() for line in part]:
@@ -93,7 +93,7 @@ def test_every_pin_serves_every_python(python: str) -> None:
 
 @pytest.mark.parametrize("python", lock.PYTHONS)
 @pytest.mark.parametrize("part", ["run", "kernels", "test", "docs"])
-def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
+def test_the_lock_satisfies_every_requirement_of_its_pins(part: str, python: str) -> None:
     """Every requirement of the installed packages, with the markers of each Python, is satisfied by the lock."""
     pinned = versions("run", "wheels", part)
     known = {
@@ -109,7 +109,7 @@ def test_nothing_that_a_pin_needs_is_missing(part: str, python: str) -> None:
         assert requirement.specifier.contains(pinned[name]), f"{requirement}, but {pinned[name]} is locked"
 
 
-def test_a_requirement_under_a_marker_is_followed_for_each_python() -> None:
+def test_a_requirement_with_a_marker_is_resolved_for_each_python() -> None:
     """pip evaluates markers for the Python that runs it, not for `--python-version`."""
     known = {"a": [Requirement("b; python_full_version < '3.11.1'"), Requirement("c[x]; python_version >= '3.12'")]}
     known["c"] = [Requirement("d; extra == 'x'"), Requirement("e; extra == 'y'")]
@@ -119,7 +119,7 @@ def test_a_requirement_under_a_marker_is_followed_for_each_python() -> None:
     assert lock.needed(begin, known, "3.13.0").keys() == {"a", "c", "d"}
 
 
-def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
+def test_the_smallest_part_contains_only_what_the_package_imports() -> None:
     """An installation that only runs the rig has no other costs."""
     imported = set()
     for path in ROOT.glob("impact_rig*/**/*.py"):
@@ -143,7 +143,7 @@ def test_the_smallest_part_has_what_the_package_imports_and_no_more() -> None:
 
 
 @pytest.mark.parametrize("part", ["run", "wheels", "kernels", "test"])
-def test_the_cost_that_is_said_is_what_is_paid_at_most(part: str) -> None:
+def test_the_stated_size_of_a_part_is_an_upper_bound(part: str) -> None:
     """`up to 420 MB` were 448 by the progress of the same command, before equal files are stored once."""
     names = versions(part).keys() & installed().keys()
     if part == "wheels" and not names:
@@ -155,7 +155,7 @@ def test_the_cost_that_is_said_is_what_is_paid_at_most(part: str) -> None:
     assert max(on_disk_mb, sum(sizes.values()) / 1e6) <= install.ON_DISK_MB[part] <= 1.25 * on_disk_mb
 
 
-def test_what_the_commands_of_the_readme_took_is_among_the_figures(
+def test_durations_of_the_readme_commands_are_among_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each run writes a file; a part that was not run lately is absent, never zero."""
@@ -170,7 +170,7 @@ def test_what_the_commands_of_the_readme_took_is_among_the_figures(
 
 
 @pytest.mark.ros
-def test_every_benchmark_can_begin() -> None:
+def test_every_benchmark_can_be_imported() -> None:
     """The import of a renamed module, for example, must not be found only by a complete benchmark run."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from benchmarks.__main__ import PARTS
@@ -188,7 +188,7 @@ PROGRAMS = sorted(
 
 @pytest.mark.ros
 @pytest.mark.parametrize("program", [*PROGRAMS, "requirements/lock"])
-def test_every_program_tells_its_use_and_does_nothing_else(
+def test_the_help_of_every_program_prints_its_usage_and_does_nothing_else(
     program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A request for help must not start the work, such as a release in a folder of the name `--help`."""
@@ -287,7 +287,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
     return made
 
 
-def test_the_next_part_installs_the_difference_and_again_nothing(checkout: Checkout) -> None:
+def test_installing_a_further_part_adds_only_the_difference(checkout: Checkout) -> None:
     kept = checkout.root / ".venv" / "kept"
     kept.touch()
     assert "installing 1 of 2 packages (run, test)" in checkout.install("run", "test")
@@ -319,7 +319,7 @@ def test_a_new_version_replaces_the_old_one_and_an_absent_one_is_named(checkout:
     assert checkout.there()["inner"] == "2.0"
 
 
-def test_an_interpreter_that_cannot_serve_is_told_why_in_one_line(tmp_path: Path) -> None:
+def test_an_unsuitable_interpreter_is_rejected_in_one_line(tmp_path: Path) -> None:
     old = tmp_path / "python3.10"
     old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo Python 3.10.13 || exit 1\n')
     old.chmod(0o755)
@@ -330,7 +330,7 @@ def test_an_interpreter_that_cannot_serve_is_told_why_in_one_line(tmp_path: Path
         assert said == f"error: {asked}, and {python} {found}: make PYTHON=/path/to/python3.12 ...\n"
 
 
-def test_files_of_equal_content_are_kept_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_with_equal_content_are_stored_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The ROS wheels hold some libraries under up to eight names."""
     names = {"liba.so": b"same", "sub/liba.so.2": b"same", "libb.so": b"else", "text.py": b"same"}
     for name, content in names.items():
@@ -343,7 +343,7 @@ def test_files_of_equal_content_are_kept_once(tmp_path: Path, monkeypatch: pytes
     assert [(tmp_path / name).stat().st_nlink for name in ("libb.so", "text.py")] == [1, 1]
 
 
-def test_plugins_of_an_installed_ros_do_not_disturb(tmp_path: Path) -> None:
+def test_pytest_plugins_of_an_installed_ros_do_not_interfere(tmp_path: Path) -> None:
     """launch_testing of Jazzy has a hook with an argument that newer versions of pytest do not know."""
     names = ("launch_testing", "launch_ros", "launch_pytest")
     (tmp_path / "alien_hooks.py").write_text("def pytest_pycollect_makemodule(path, parent): ...\n")

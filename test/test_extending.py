@@ -44,7 +44,7 @@ OF_PAGES = (
     "test/test_layers.py",
     "test/test_licence.py",
     "test/test_names.py",
-    "test/test_public_face.py",
+    "test/test_public_names.py",
 )
 """Tests that compare pages, figures and all sources with the code, which an addition may break."""
 SHORT = "not (slow or heavy or benchmark)"
@@ -164,7 +164,7 @@ def copy(tmp_path: Path) -> Copy:
     [RECIPES, *(pytest.param((recipe,), marks=pytest.mark.slow) for recipe in RECIPES)],
     ids=lambda chosen: " and ".join(recipe.title for recipe in chosen),
 )
-def test_a_recipe_is_the_whole_change(chosen: tuple[Recipe, ...], copy: Copy):
+def test_each_recipe_is_the_complete_change(chosen: tuple[Recipe, ...], copy: Copy):
     before = copy.state()
     files = {path: content for recipe in chosen for path, content in recipe.files.items()}
     for path, content in files.items():

@@ -38,26 +38,26 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_drawing_is_what_the_code_draws(name):
+def test_each_drawing_equals_the_output_of_the_code(name):
     assert difference((IMAGES / name).read_text(encoding="utf-8"), DRAWN[name]()) is None, f"run `{COMMAND}`"
 
 
-def test_every_picture_is_drawn_or_taken_by_the_command():
+def test_every_picture_is_made_by_the_command():
     assert {path.name for path in IMAGES.iterdir()} == set(ALL)
 
 
-def test_every_picture_is_shown_somewhere():
+def test_every_picture_is_used_on_a_page():
     pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*.md")]
     texts = "".join(path.read_text(encoding="utf-8") for path in pages)
     assert [name for name in ALL if f"images/{name}" not in texts] == []
 
 
-def test_pictures_are_small():
+def test_the_total_size_of_the_pictures_is_bounded():
     assert sum(path.stat().st_size for path in IMAGES.iterdir()) <= MOST_BYTES
 
 
 @pytest.mark.parametrize("name", [*DRAWN, *GENERATED])
-def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name):
+def test_each_drawing_has_a_text_alternative_and_colours_for_dark_mode(name):
     text = (IMAGES / name).read_text(encoding="utf-8")
     root = ET.fromstring(text)
     assert root.get("aria-label") or root.findtext(f"{SVG}title")
@@ -66,7 +66,7 @@ def test_a_drawing_has_words_for_who_cannot_see_it_and_colours_for_the_dark(name
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_drawing_has_only_colours_of_the_palette(name):
+def test_each_drawing_uses_only_colours_of_the_palette(name):
     """Okabe and Ito's palette suits any colour vision; each colour is a variable with values for light and for dark."""
     drawn = (IMAGES / name).read_text(encoding="utf-8").partition("</style>")[2]
     assert set(re.findall(r"(?<!&)#[0-9a-f]{3,8}\b", drawn)) == set()
@@ -75,7 +75,7 @@ def test_a_drawing_has_only_colours_of_the_palette(name):
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", TAKEN)
-def test_a_picture_shows_what_is_there_now(name):
+def test_each_picture_shows_the_present_page(name):
     """A picture of an old page must make the test fail."""
     known = digests.written()
     assert name in known, f"run `{COMMAND}`"
@@ -87,7 +87,7 @@ def test_a_picture_shows_what_is_there_now(name):
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", digests.STUDIES)
-def test_the_miniature_of_a_picture_is_its_own_plan_with_all_its_regimes(name):
+def test_the_reduced_plan_of_a_picture_contains_all_its_regimes(name):
     """A fixed benign plan at regular places showed no change of the chaotic and of the rare motions of a picture."""
     known = digests.written()[name]
     at = known.get("at", {})
@@ -129,7 +129,7 @@ def test_the_digest_of_the_page_follows_its_elements_texts_and_styles(tmp_path, 
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_a_picture_can_be_opened(name):
+def test_each_picture_is_a_valid_file(name):
     with Image.open(IMAGES / name) as picture:
         picture.verify()
 
@@ -149,5 +149,5 @@ ONE = '<svg viewBox="0 0 500 300"><title>t</title><path d="M 1.0 2.0" stroke="#1
         (("viewBox", "box"), "the elements differ"),
     ],
 )
-def test_what_a_cpu_may_change_is_no_difference_and_anything_else_is(change, found):
+def test_only_differences_that_a_cpu_may_cause_are_ignored(change, found):
     assert difference(ONE, ONE.replace(*change)) == found

@@ -25,11 +25,11 @@ FILES = generated()
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_file_is_what_the_code_makes_of_it(path):
+def test_each_generated_file_equals_the_output_of_the_code(path):
     assert path.read_text(encoding="utf-8") == FILES[path], f"run `{COMMAND}` and read what has changed"
 
 
-def test_every_table_is_on_one_page():
+def test_every_generated_table_is_on_one_page():
     pages = "".join(text for path, text in FILES.items() if path.suffix == ".md")
     for name in TABLES:
         assert pages.count(f"<!-- generated: {name} -->") == 1, name

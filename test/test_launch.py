@@ -65,18 +65,18 @@ def test_every_argument_is_described_has_a_default_and_is_used(path: Path) -> No
     assert used(path) == set(known)
 
 
-def test_the_programs_are_those_that_are_installed() -> None:
+def test_the_launched_programs_are_installed() -> None:
     setup = (Path(__file__).parents[1] / "setup.py").read_text(encoding="utf-8")
     for node in nodes(RIG, lab="true").values():
         assert f'"{node["executable"]} = impact_rig' in setup
 
 
-def test_the_modes_are_those_of_the_configuration() -> None:
+def test_the_choices_of_the_mode_are_those_of_the_configuration() -> None:
     modes = next(about.choices for name, about, _ in config.fields() if name == "time.mode")
     assert tuple(declared(description(RIG))["mode"].words["choices"]) == ("", *modes)
 
 
-def test_by_default_four_nodes_start_and_scan_0_waits_for_two_of_them() -> None:
+def test_four_nodes_start_by_default_and_scan_0_waits_for_two_of_them() -> None:
     started = nodes(RIG)
     assert list(started) == ["rig", "analysis", "recorder", "plot"]
     assert list(nodes(RIG, plot="false")) == ["rig", "analysis", "recorder"]
@@ -89,7 +89,7 @@ def test_by_default_four_nodes_start_and_scan_0_waits_for_two_of_them() -> None:
     }  # fmt: skip
 
 
-def test_what_is_asked_for_daily_is_an_argument() -> None:
+def test_common_settings_are_launch_arguments() -> None:
     started = nodes(
         RIG,
         mode="realtime",
@@ -114,14 +114,14 @@ def test_what_is_asked_for_daily_is_an_argument() -> None:
     assert parameters(started["analysis"]) == {"use_sim_time": True, "autostart": False}
 
 
-def test_names_may_have_blanks_between_them() -> None:
+def test_blanks_between_the_names_of_peers_are_allowed() -> None:
     """Scan 0 must not wait for a peer called ` recorder`, whose end nothing would notice."""
     started = nodes(RIG, peers="analysis, recorder", required="rig, recorder")
     assert parameters(started["rig"])["time.peers"] == ["analysis", "recorder"]
     assert [name for name, node in started.items() if "on_exit" in node] == ["rig", "recorder"]
 
 
-def test_all_nodes_wait_for_their_lifecycle_services_where_the_rig_does() -> None:
+def test_all_nodes_wait_for_lifecycle_services_if_the_rig_does() -> None:
     """Analysis and recorder must not start by themselves if the configuration says that the rig does not."""
     started = nodes(RIG, overrides="{output.autostart: false}")
     assert [parameters(started[name])["autostart"] for name in ("analysis", "recorder")] == [False, False]
@@ -143,14 +143,14 @@ def test_all_nodes_wait_for_their_lifecycle_services_where_the_rig_does() -> Non
         ("required", "rig,player"),
     ],
 )
-def test_an_impossible_argument_is_refused_by_its_name_before_anything_starts(name: str, value: str) -> None:
+def test_an_invalid_argument_is_rejected_by_name_before_any_node_starts(name: str, value: str) -> None:
     with pytest.raises(ConfigError, match=f"^launch argument {name}\\b") as refused:
         nodes(RIG, **{name: value})
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.ros
-def test_the_parameters_are_those_of_the_nodes() -> None:
+def test_the_launched_parameters_exist_on_the_nodes() -> None:
     from impact_rig.config.tree import Tree
     from impact_rig.nodes.analysis_node import AnalysisSettings
     from impact_rig.nodes.parameters import CONFIG_FILE
@@ -166,12 +166,12 @@ def test_the_parameters_are_those_of_the_nodes() -> None:
     assert "use_sim_time" not in parameters(started["rig"]), "it makes the time"
 
 
-def test_every_namespace_has_its_own_clock() -> None:
+def test_every_namespace_has_a_separate_clock() -> None:
     for node in nodes(RIG, rviz="true", lab="true").values():
         assert ("/clock", "clock") in node["remappings"]
 
 
-def test_the_end_of_a_required_node_ends_all_once_and_all_end_with_the_launcher() -> None:
+def test_the_end_of_a_required_node_or_of_the_launcher_ends_all_nodes() -> None:
     """After Ctrl-C, or after another required node, a node that ends does not report that it was required."""
     running, ending = Context({}), Context({})
     ending.is_shutdown = True
@@ -204,7 +204,7 @@ def test_frames_follow_the_effective_namespace(pushed: str, namespace: str, give
     assert told == {"auto": None, "": "/"}.get(given, given), "by itself the node follows its namespace"
 
 
-def test_rviz_and_tf_come_on_request_and_agree_on_frames() -> None:
+def test_rviz_and_tf_start_on_request_and_agree_on_frames() -> None:
     """robot_state_publisher follows the truth, and leaves the description's topic to the rig."""
     started = nodes(RIG, rviz="true", pushed_namespace="/cell", namespace="two", overrides="{barriers.gap_m: 0.01}")
     state = started["robot_state_publisher"]
@@ -222,7 +222,7 @@ def test_rviz_and_tf_come_on_request_and_agree_on_frames() -> None:
     assert "rviz" not in nodes(RIG, state_publisher="true")
 
 
-def test_two_rigs_are_the_first_file_twice_with_namespaces_clocks_and_folders_of_their_own() -> None:
+def test_two_rigs_have_separate_namespaces_clocks_and_folders() -> None:
     entities = description(TWO)
     context = context_of(entities, {"mode": "free_running"})
     groups = [entity for entity in entities if isinstance(entity, GroupAction)]
@@ -244,7 +244,7 @@ def test_two_rigs_are_the_first_file_twice_with_namespaces_clocks_and_folders_of
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_launch_itself_reads_it(path: Path) -> None:
+def test_the_launch_system_reads_each_file(path: Path) -> None:
     pytest.importorskip("launch_ros", reason="launch comes with an apt-installed ROS 2 only")
     from launch.launch_description_sources import get_launch_description_from_python_launch_file
 

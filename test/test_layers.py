@@ -74,11 +74,11 @@ def _imported_by(modules: list[str]) -> set[str]:
     return {name.split(".")[0] for name in result.stdout.split()}
 
 
-def test_nothing_but_nodes_and_testing_needs_ros():
+def test_only_nodes_and_testing_need_ros():
     assert not _imported_by(WITHOUT_ROS) & {"rclpy", "launch", "launch_ros"}
 
 
-def test_numerics_load_no_figures_and_no_tables():
+def test_numerical_modules_load_no_plotting_and_no_table_library():
     """A node that publishes samples must not load matplotlib, nor fail if it is not installed."""
     assert not _imported_by([name for name in NUMERICS if name in WITHOUT_ROS]) & {"matplotlib", "rich"}
 
@@ -92,7 +92,7 @@ def test_importing_the_package_itself_is_cheap():
     assert not _imported_by(["impact_rig"]) & {"rclpy", "numba", "numpy", "scipy", "matplotlib", "rich"}
 
 
-def test_the_help_of_all_commands_waits_for_no_large_library():
+def test_the_help_of_the_commands_imports_no_large_library():
     """SciPy's parts alone would take 1.1 s."""
     code = "from impact_rig.cli.main import command_line; import sys; command_line(); print(*sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
@@ -118,7 +118,7 @@ def test_every_command_names_a_function():
         assert callable(pkgutil.resolve_name(name)), name
 
 
-def test_there_is_one_version():
+def test_all_files_state_the_same_version():
     """setup.py and ROS read package.xml; package and citation state the same version, and the changelog contains it."""
     in_package_xml = ET.parse(ROOT / "package.xml").findtext("version")
     assert in_package_xml == impact_rig.__version__
@@ -185,7 +185,7 @@ def test_instructions_to_build_kernels_name_the_version_of_numba():
         assert not re.search(r"pip install .*\bnumba(?!==)", text), name
 
 
-def test_one_word_names_one_class():
+def test_each_class_has_a_unique_name():
     """If `Motion`, `State` or `Plan` named several classes, a reader could not tell which one a sentence means."""
     trees = (ast.parse(path.read_text(encoding="utf-8")) for path in ROOT.glob("impact_rig*/**/*.py"))
     names = Counter(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))

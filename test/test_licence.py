@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 LICENCE = " ".join((ROOT / "LICENSE").read_text(encoding="utf-8").split())
 
 
-def test_the_notice_names_the_licence_of_the_package() -> None:
+def test_the_notice_of_every_file_names_the_licence_of_the_package() -> None:
     licence = ET.parse(ROOT / "package.xml").findtext("license")
     name, version = licence.split("-")
     notice = Path(__file__).read_text(encoding="utf-8").splitlines()[2]
@@ -30,6 +30,6 @@ def test_the_notice_names_the_licence_of_the_package() -> None:
     assert LICENCE.startswith(f"{name} License Version {version}")
 
 
-def test_contributions_come_under_the_licence() -> None:
+def test_contributions_are_under_the_licence() -> None:
     section = LICENCE[LICENCE.index("5. Submission of Contributions.") : LICENCE.index(" 6. Trademarks.")]
     assert section in " ".join((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split())

@@ -48,7 +48,7 @@ TESTED = "import os, sys, pytest; sys.exit(pytest.main(['-c', os.devnull, '-p', 
     ],
     ids=["not called", "called", "ended at once", "a forked child", "pytest, which imports plugins by itself"],
 )
-def test_lines_that_a_process_passed_are_noted_and_no_others(program: str, noted: set[int], tmp_path: Path) -> None:
+def test_exactly_the_lines_that_a_process_executed_are_counted(program: str, noted: set[int], tmp_path: Path) -> None:
     environment = {**os.environ, "IMPACT_RIG_LINES": str(tmp_path / "data"), "PYTHONPATH": FOLDER}
     test = tmp_path / "test_it.py"
     test.write_text("def test_it():\n    from impact_rig import simtime\n    simtime.stamp_ns(1, 2)\n")

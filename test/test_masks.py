@@ -57,7 +57,7 @@ def masked() -> Machine:
     return machine(ALL)
 
 
-def test_numpy_uses_its_baseline(masked: Machine) -> None:
+def test_numpy_uses_its_baseline_under_all_masks(masked: Machine) -> None:
     assert masked.numpy == []
 
 
@@ -67,12 +67,12 @@ def test_llvm_compiles_for_a_cpu_without_vectors(masked: Machine) -> None:
     assert not masked.vectors
 
 
-def test_every_openblas_chose_its_oldest_core(masked: Machine) -> None:
+def test_every_openblas_uses_its_oldest_core(masked: Machine) -> None:
     assert PRESCOTT.held(masked, masked)
     assert masked.openblas, "neither NumPy nor SciPy brought an OpenBLAS: this mask says nothing here"
 
 
-def test_glibc_chose_other_functions(masked: Machine, bare: Machine) -> None:
+def test_glibc_uses_other_functions_under_the_masks(masked: Machine, bare: Machine) -> None:
     """On a CPU with FMA, sin has another address in libm, and exp, log and pow (wrappers) give other last bits."""
     if not bare.vectors:
         pytest.skip("this CPU has no AVX: glibc has nothing to choose from")
@@ -82,11 +82,11 @@ def test_glibc_chose_other_functions(masked: Machine, bare: Machine) -> None:
 
 @pytest.mark.slow  # `make portability` looks for itself before it believes a mask
 @pytest.mark.parametrize("mask", [HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE], ids=lambda mask: mask.name)
-def test_a_mask_of_its_own_takes_hold_alone(mask: Mask, bare: Machine) -> None:
+def test_each_mask_takes_effect_by_itself(mask: Mask, bare: Machine) -> None:
     assert mask.verdict(machine(mask), bare) != "NO"
 
 
 @pytest.mark.parametrize("mask", MASKS, ids=lambda mask: mask.name)
-def test_a_mask_that_did_not_take_hold_is_seen(mask: Mask, bare: Machine) -> None:
+def test_a_mask_without_effect_is_detected(mask: Mask, bare: Machine) -> None:
     """An unmasked machine passes for a masked one only if its CPU has nothing to hide."""
     assert mask.verdict(bare, bare) in ("NO", "nothing to mask")

@@ -48,7 +48,7 @@ def test_an_ordinary_name_is_its_own_file_name(name):
 
 
 @given(ANY)
-def test_an_identifier_is_one_everywhere(text):
+def test_an_identifier_is_valid_in_every_format(text):
     assert re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", names.identifier(text))
 
 
@@ -73,7 +73,7 @@ def test_a_long_text_keeps_its_ends():
         ("-2.5", "-2.5"), ("+1e-3", "+1e-3"), ("-", "-"), ("gap 6 mm, up", "gap 6 mm, up"), (-2.5, -2.5), ("", ""),
     ],
 )  # fmt: skip
-def test_a_cell_is_no_formula(text, cell):
+def test_a_cell_never_becomes_a_formula(text, cell):
     assert names.csv_cell(text) == cell
 
 
@@ -88,7 +88,7 @@ def test_a_quoted_value_is_short_and_reads_as_python_writes_it(value, shown):
     assert names.quoted(value) == shown
 
 
-def test_symbols_of_our_own_are_set_and_nothing_else():
+def test_only_symbols_of_the_package_are_typeset():
     for own in ("$x_1$ (mm)", "transmissibility $|X_1|/|X_b|$", r"$K_f,\ k_f,\ c_f$", "$m_a + m_b$"):
         assert names.plot_text(own) == own
     assert names.plot_text("$x^$") == r"\$x^\$"
@@ -97,7 +97,7 @@ def test_symbols_of_our_own_are_set_and_nothing_else():
 
 
 @pytest.mark.parametrize("name", HOSTILE_NAMES, ids=names.file_name)
-def test_a_drawing_shows_any_name_as_it_is(name, tmp_path):
+def test_a_drawing_shows_any_name_unchanged(name, tmp_path):
     with style():
         figure, (axis,) = new_axes()
         axis.plot([0.0, 1.0], [0.0, 1.0], label=f"case {name}")

@@ -27,7 +27,7 @@ NOTEBOOK = Path(__file__).parents[1] / "examples" / "recorded_run.ipynb"
 PATIENCE_S = 280
 
 
-def test_it_is_kept_without_output():
+def test_the_notebook_is_stored_without_output():
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     assert [cell["id"] for cell in cells if cell.get("outputs") or cell.get("execution_count")] == []
 
@@ -48,16 +48,16 @@ def outputs(notebook, kind):
     return [output for cell in notebook.cells for output in cell.get("outputs", ()) if output.output_type == kind]
 
 
-def test_every_cell_runs_and_says_what_it_found(executed):
+def test_every_cell_runs_and_prints_its_result(executed):
     said = "".join(output.text for output in outputs(executed, "stream") if output.name == "stdout")
     assert "none missing" in said
     assert "analysis: DT = 63." in said
     assert "10 mm: 48.3 % (paper 49 %)" in said
 
 
-def test_nothing_is_complained_of(executed):
+def test_no_cell_prints_a_warning(executed):
     assert [output.text for output in outputs(executed, "stream") if output.name == "stderr"] == []
 
 
-def test_it_draws(executed):
+def test_the_notebook_draws_its_four_figures(executed):
     assert len([output for output in outputs(executed, "display_data") if "image/png" in output.data]) == 4

@@ -64,7 +64,7 @@ def checkout() -> Reach:
         ),
         ("docs/explanation/rig.md", "test/test_docs.py", "test/impact_rig/physics/test_energy.py"),
         ("test/data/digests.txt", "test/test_digests.py", "test/impact_rig/recording/test_tail.py"),
-        ("impact_rig/simulation.py", "test/test_public_face.py", "test/impact_rig/physics/test_energy.py"),
+        ("impact_rig/simulation.py", "test/test_public_names.py", "test/impact_rig/physics/test_energy.py"),
         ("impact_rig/simulation.py", "test/test_claims.py", "test/impact_rig/recording/test_tail.py"),
         ("impact_rig/driver/sample_run.py", "test/test_notebook.py", "test/impact_rig/arithmetic/test_random.py"),
         (
@@ -74,7 +74,7 @@ def checkout() -> Reach:
         ),
     ],
 )
-def test_a_change_reaches_who_uses_it_and_not_everybody(
+def test_a_change_reaches_only_the_files_that_use_it(
     checkout: Reach, changed: str, reached: str, left_out: str
 ) -> None:
     assert (reach.ROOT / changed).is_file()
@@ -85,15 +85,15 @@ def test_a_change_reaches_who_uses_it_and_not_everybody(
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "test/conftest.py", "quite" + "_new.xyz"])
-def test_what_is_not_known_reaches_everything(checkout: Reach, changed: str) -> None:
+def test_a_change_of_an_unknown_file_reaches_everything(checkout: Reach, changed: str) -> None:
     assert checkout.files(["docs/explanation/rig.md", changed]) is None
 
 
-def test_no_change_reaches_nothing(checkout: Reach) -> None:
+def test_an_empty_change_reaches_nothing(checkout: Reach) -> None:
     assert checkout.files([]) == set()
 
 
-def test_modules_that_are_found_in_a_folder_and_programs_that_are_started_are_followed(tmp_path: Path) -> None:
+def test_modules_found_in_a_folder_and_started_programs_are_followed(tmp_path: Path) -> None:
     files = {
         "impact_rig/__init__.py": "",
         "impact_rig/laws/__init__.py": "from impact_rig.laws.registry import LAWS",
@@ -120,7 +120,7 @@ def test_the_module_of_a_public_name_reaches_the_tests_of_all_of_them(checkout: 
     (file,) = (path for path in (f"{module}.py", f"{module}/__init__.py") if (reach.ROOT / path).is_file())
     found = checkout.files([file])
     assert found is not None
-    assert {"test/test_public_face.py", "test/test_docs.py"} <= found
+    assert {"test/test_public_names.py", "test/test_docs.py"} <= found
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_public_name_is_followed_to_the_module_that_defines_it(tmp_path: Path,
     assert Reach(tmp_path).files(["impact_rig/simulation.py"]) == {"impact_rig/simulation.py", "test/test_user.py"}
 
 
-def test_what_git_says_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_changed_files_are_those_that_git_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def git(*words: str) -> None:
         identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
         subprocess.run(["git", *identity, *words], cwd=tmp_path, check=True, capture_output=True)

@@ -33,7 +33,7 @@ from tools.release import build, differences, page, unpack
 ROOT = Path(__file__).parents[1]
 
 
-def test_this_package_finds_its_configurations():
+def test_the_package_finds_its_configurations():
     assert (config_dir() / "nominal.yaml").is_file()
     assert (share_dir() / "launch" / "rig.launch.py").is_file()
 
@@ -70,7 +70,7 @@ def built(tmp_path_factory):
 
 
 @RELEASED
-def test_a_release_holds_what_the_repository_holds_and_nothing_else(built, tmp_path):
+def test_a_release_contains_exactly_the_files_of_the_repository(built, tmp_path):
     sdist, wheel = built
     assert differences(sdist, wheel) == []
     other = tmp_path / wheel.name
@@ -87,7 +87,7 @@ def test_a_release_holds_what_the_repository_holds_and_nothing_else(built, tmp_p
 
 @RELEASED
 @pytest.mark.ros
-def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
+def test_an_installed_wheel_works_without_a_checkout(built, tmp_path):
     """In an empty directory, the wheel finds its files, serves the lab's page and is pytest's plugin.
 
     `python -m tools.release --try` does the same with all requirements of the wheel in an empty environment. Here, the
@@ -126,7 +126,7 @@ def test_an_installed_wheel_works_where_no_checkout_is(built, tmp_path):
 
 @RELEASED
 @pytest.mark.parametrize("kernels", ["jit", None])
-def test_a_wheel_is_without_the_library_only_if_that_was_asked_for(kernels, built, tmp_path):
+def test_a_wheel_lacks_the_library_only_on_request(kernels, built, tmp_path):
     """If the library cannot be built, there is no wheel: Numba at run time must not be an accident."""
     source = unpack(built[0], tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(source / "requirements"), "CC": str(tmp_path / "no_compiler")}
@@ -144,7 +144,7 @@ def test_a_wheel_is_without_the_library_only_if_that_was_asked_for(kernels, buil
         assert not any(name.endswith((".so", ".o")) for name in zipfile.ZipFile(wheel).namelist())
 
 
-def test_pip_fetches_numba_only_where_a_release_holds_no_assembly(tmp_path, monkeypatch):
+def test_pip_installs_numba_only_where_a_release_has_no_assembly(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "requirements"))
     import build_backend
 

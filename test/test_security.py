@@ -66,12 +66,12 @@ def offences(path: Path) -> Iterator[str]:
 
 
 @pytest.mark.repeats
-def test_no_data_becomes_code() -> None:
+def test_no_module_executes_data_as_code() -> None:
     assert len(SOURCES) > 150
     assert [offence for path in SOURCES for offence in offences(path)] == []
 
 
-def test_the_search_finds_what_it_looks_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_finds_planted_offences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(globals(), "ROOT", tmp_path)
     bad = tmp_path / "bad.py"
     bad.write_text(
@@ -83,9 +83,7 @@ def test_the_search_finds_what_it_looks_for(tmp_path: Path, monkeypatch: pytest.
     assert list(offences(bad)) == []
 
 
-def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_started_programs_are_visible_only_on_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     assert Processes(1, tmp_path).environment({})["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
     assert '"discovery",\n                default_value="LOCALHOST"' in (ROOT / "launch" / "rig.launch.py").read_text()
@@ -102,7 +100,7 @@ def test_what_is_started_for_the_user_is_seen_by_this_machine_only(
 
 
 @pytest.mark.ros
-def test_the_policy_allows_what_the_nodes_open_and_nothing_else(tmp_path: Path) -> None:
+def test_the_policy_allows_exactly_what_the_nodes_open(tmp_path: Path) -> None:
     """The nodes run as the launch file starts them, in a namespace, which has its own clock."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from kits.opened import opened_by
@@ -121,7 +119,7 @@ def test_the_policy_allows_what_the_nodes_open_and_nothing_else(tmp_path: Path) 
 
 
 @pytest.mark.ros
-def test_policy_and_launch_file_agree() -> None:
+def test_the_policy_and_the_launch_file_agree() -> None:
     """The arguments of one are the defaults of the other: namespace, clock, enclaves."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from kits.launched import nodes

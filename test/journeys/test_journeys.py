@@ -39,7 +39,7 @@ def test_every_command_has_a_journey_in_the_environment_of_its_page() -> None:
     assert table.faults() == []
 
 
-def test_a_journey_is_run_or_says_why_not() -> None:
+def test_each_journey_is_run_or_states_why_not() -> None:
     for one in table.journeys():
         assert one.environment in ENVIRONMENTS, one.name
         assert one.not_run or one.environment != JAZZY, one.name
@@ -49,7 +49,7 @@ def test_a_journey_is_run_or_says_why_not() -> None:
     assert {"clone", "wheel[import]"} <= {one.environment for one in CHEAP}
 
 
-def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     from tools.check_docs import Page
 
     text = (ROOT / "docs" / "reference" / "instruments.md").read_text(
@@ -61,7 +61,7 @@ def test_a_new_command_without_a_journey_is_found(monkeypatch: pytest.MonkeyPatc
     assert table.faults() == ["docs/reference/instruments.md: impact-rig check new.yaml: no journey in journeys.yaml"]
 
 
-def test_what_is_run_instead_of_a_command_exists() -> None:
+def test_every_replacement_for_a_command_exists() -> None:
     from tools.doc_commands import command_faults, commands
 
     said = {text for one in table.journeys() for text in (one.instead, *one.before)}
@@ -130,7 +130,7 @@ def prepared() -> set[tuple[str, str]]:
 @pytest.mark.ros
 @pytest.mark.pipeline
 @pytest.mark.parametrize("journey", CHEAP, ids=[one.name for one in CHEAP])
-def test_a_cheap_journey(journey: Journey, places: Places, prepared: set[tuple[str, str]]) -> None:
+def test_each_cheap_journey_succeeds(journey: Journey, places: Places, prepared: set[tuple[str, str]]) -> None:
     place = places.environment(journey.environment)
     if (journey.page, journey.environment) not in prepared:
         prepared.add((journey.page, journey.environment))

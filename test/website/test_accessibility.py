@@ -43,7 +43,7 @@ WIDE, NARROW = 1280, 400
         ("reference/api", NARROW, "light"),
     ],
 )
-def test_pages_of_the_website(site, browser, name, width, scheme):
+def test_pages_of_the_website_have_no_serious_faults(site, browser, name, width, scheme):
     page = browser.page(width, 900, prefers_color_scheme=scheme)
     page.goto((site / f"{name}.html").as_uri())
     wanted = {"light": "default", "dark": "slate"}[scheme]
@@ -54,7 +54,7 @@ def test_pages_of_the_website(site, browser, name, width, scheme):
     assert page.faults() == []
 
 
-def test_the_search_finds_pages_on_the_disk(site, browser):
+def test_the_search_works_on_a_website_opened_from_disk(site, browser):
     page = browser.page()
     page.goto((site / "index.html").as_uri())
     page.click(".md-search__input")
@@ -75,14 +75,14 @@ def lab(tmp_path_factory) -> Iterator[str]:
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "light"), (NARROW, "dark")])
-def test_the_lab(lab, browser, width, scheme):
+def test_the_page_of_the_lab_has_no_serious_faults(lab, browser, width, scheme):
     page = browser.page(width, 900, prefers_color_scheme=scheme)
     page.goto(lab)
     page.wait("window.lab && lab.now.playback?.read === 1", "the run")
     assert serious_faults(page) == []
 
 
-def test_axe_finds_what_is_there_to_be_found(browser, tmp_path):
+def test_axe_finds_planted_faults(browser, tmp_path):
     file = tmp_path / "bad.html"
     file.write_text("<html><body><img src='x.png'><p style='color:#ccc;background:#fff'>pale</p></body></html>")
     page = browser.page()

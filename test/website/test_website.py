@@ -67,14 +67,14 @@ def found(site):
     return pages(site)
 
 
-def test_every_page_is_there_and_in_the_navigation(site, found):
+def test_every_page_exists_and_is_in_the_navigation(site, found):
     assert {path.relative_to(site).with_suffix(".md").as_posix() for path in found} == set(PAGES)
     navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
     listed = set(re.findall(r"[\w/.-]+\.md", navigation))
     assert set(PAGES) == listed
 
 
-def test_every_link_leads_somewhere(found):
+def test_every_link_has_an_existing_target(found):
     for path, page in found.items():
         for link in page.links:
             parts = urlsplit(link)
@@ -87,7 +87,7 @@ def test_every_link_leads_somewhere(found):
                 assert unquote(parts.fragment) in found[target].anchors, f"{path.name}: {link}"
 
 
-def test_everything_that_is_loaded_is_in_the_site(found):
+def test_every_loaded_file_is_part_of_the_site(found):
     for path, page in found.items():
         for address in page.loaded:
             parts = urlsplit(address)
@@ -96,12 +96,12 @@ def test_everything_that_is_loaded_is_in_the_site(found):
             assert (path.parent / unquote(parts.path)).exists(), f"{path.name}: {address}"
 
 
-def test_every_picture_has_words(found):
+def test_every_picture_has_a_text_alternative(found):
     assert [(path.name, page.unnamed) for path, page in found.items() if page.unnamed] == []
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_block_of_code_is_a_block_and_no_fence_is_left_as_text(site, found, name):
+def test_every_block_of_code_is_rendered_as_a_block(site, found, name):
     text = (DOCS / name).read_text(encoding="utf-8")
     path = site / Path(name).with_suffix(".html")
     blocks = len(re.findall(r"^```+\w+", text, re.MULTILINE))
@@ -110,7 +110,7 @@ def test_every_block_of_code_is_a_block_and_no_fence_is_left_as_text(site, found
     assert "```" not in path.read_text(encoding="utf-8")
 
 
-def test_the_page_of_the_api_has_inherited_methods_values_of_defaults_and_links(site):
+def test_the_page_of_the_api_has_inherited_methods_default_values_and_links(site):
     text = (site / "reference" / "api.html").read_text(encoding="utf-8")
     assert 'id="impact_rig.LocalRig.command"' in text
     assert ">256000000<" in text
@@ -119,7 +119,7 @@ def test_the_page_of_the_api_has_inherited_methods_values_of_defaults_and_links(
     assert '<a href="#impact_rig.RosRig"><code>RosRig</code></a>' in text
 
 
-def test_a_link_to_nowhere_ends_the_build(mkdocs, tmp_path):
+def test_a_broken_link_fails_the_build(mkdocs, tmp_path):
     """The configuration is the real one, with one page that has one bad link."""
     from mkdocs.commands.build import build as build_site
     from mkdocs.config import load_config

@@ -26,19 +26,19 @@ import impact_rig
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "api.md"
 
 
-def test_the_page_of_the_api_shows_exactly_the_public_names() -> None:
+def test_the_page_of_the_api_lists_exactly_the_public_names() -> None:
     shown = re.findall(r"^::: impact_rig\.(\w+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(shown) == impact_rig.__all__
 
 
-def test_every_public_name_is_there_and_has_a_docstring() -> None:
+def test_every_public_name_exists_and_has_a_docstring() -> None:
     for name in impact_rig.__all__:
         found = getattr(impact_rig, name)
         assert (found.__doc__ or "").strip(), name
         assert found.__module__.startswith("impact_rig"), name
 
 
-def test_the_first_look_is_the_papers_rig_at_resonance() -> None:
+def test_the_first_example_is_the_rig_of_the_paper_at_resonance() -> None:
     assert str(impact_rig.simulate(20.0)).startswith("DT 63.57 ± 0.32 (2u) at 9.1 Hz")
 
 
@@ -74,12 +74,12 @@ def test_every_parameter_is_described() -> None:
     assert not missing
 
 
-def test_every_name_points_to_its_relatives() -> None:
+def test_every_docstring_refers_to_related_names() -> None:
     alone = [name for name in impact_rig.__all__ if "\nSee Also:\n" not in text_of(getattr(impact_rig, name))]
     assert [name for name in alone if not name.endswith("Error")] == []
 
 
-def test_what_a_docstring_names_can_be_looked_up() -> None:
+def test_every_name_in_a_docstring_can_be_looked_up() -> None:
     """Classes and errors are public, builtin or given by their full name, and pages exist."""
     known, unknown = {*impact_rig.__all__, *vars(builtins)}, []
     for name, one in documented():
@@ -98,6 +98,6 @@ def is_in_python(name: str) -> bool:
     return "." in name and isinstance(pkgutil.resolve_name(name), type)
 
 
-def test_help_on_the_package_says_what_each_name_is_for() -> None:
+def test_help_on_the_package_describes_each_name() -> None:
     for name in impact_rig.__all__:
         assert re.search(rf"^    (?:\w+, )?{name}(?:, \w+)?  +\w", impact_rig.__doc__ or "", re.MULTILINE), name

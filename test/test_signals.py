@@ -52,13 +52,13 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 @pytest.mark.parametrize("program", [*SOON_S, "nodes"])  # the demo is ended in test_demo.py
-def test_a_program_that_is_told_to_end_ends_in_order(bench: Any, program: str) -> None:
+def test_a_program_ends_cleanly_on_a_signal(bench: Any, program: str) -> None:
     tally = bench.end(program)
     assert tally.faults == []
     assert tally.endings == len(SIGNALS), "each got its signal while it ran"
 
 
-def test_a_rig_that_is_driven_and_recorded_ends_in_order_however_often_it_is_told(tmp_path: Path) -> None:
+def test_a_driven_and_recorded_rig_ends_cleanly_on_repeated_signals(tmp_path: Path) -> None:
     tally = TOOL["Tally"]()
     TOOL["end_driven"](0.2, 0.5, tmp_path, tally)
     assert tally.faults == []
@@ -68,9 +68,7 @@ def test_a_rig_that_is_driven_and_recorded_ends_in_order_however_often_it_is_tol
     ("program", "number"),
     [*zip(("demo", "campaign", "identify", "replay", "verify", "export"), 3 * SIGNALS, strict=True)],  # one `main`
 )
-def test_a_program_that_is_told_to_end_while_it_imports_says_so_in_one_line(
-    tmp_path: Path, program: str, number: int
-) -> None:
+def test_a_signal_during_imports_is_reported_in_one_line(tmp_path: Path, program: str, number: int) -> None:
     words = {"export": ["export", "x", "y", "z.csv"], "demo": ["demo", "--output", "x"]}.get(program, [program, "x"])
     tally = TOOL["Tally"]()
     TOOL["end_program"](words, number, 0.0, tmp_path, tally)
@@ -87,7 +85,7 @@ time.sleep(1)
 
 
 @pytest.mark.parametrize(("more", "done"), [("", 1), (r"\nand more", 0)])
-def test_a_program_that_has_told_its_progress_and_is_done_when_the_signal_comes_was_not_told_to_end(
+def test_a_signal_after_the_last_progress_line_does_not_count_as_an_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str, done: int
 ) -> None:
     monkeypatch.setitem(TOOL["end_program"].__globals__, "SCRIPT", DONE.format(more=more))
@@ -123,7 +121,7 @@ WORK = {
 
 
 @pytest.mark.parametrize(("what", "number"), [*zip(WORK, 3 * SIGNALS, strict=False), ("waiting", signal.SIGTERM)])
-def test_whatever_a_program_is_doing_the_first_signal_ends_it_with_its_code(what: str, number: int) -> None:
+def test_the_first_signal_ends_a_program_at_any_work_with_the_right_code(what: str, number: int) -> None:
     work, said = WORK[what]
     program = subprocess.Popen(
         [sys.executable, "-c", PAUSING.format(work=work)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -155,7 +153,7 @@ def workers(process: int) -> set[int]:
     return found
 
 
-def test_the_workers_of_a_campaign_end_with_it_even_if_it_is_killed(campaign: subprocess.Popen[bytes]) -> None:
+def test_the_workers_of_a_killed_campaign_end_with_it(campaign: subprocess.Popen[bytes]) -> None:
     deadline = time.monotonic() + 100.0
     while len(found := workers(campaign.pid)) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -174,7 +172,7 @@ def test_the_workers_of_a_campaign_end_with_it_even_if_it_is_killed(campaign: su
             os.close(descriptor)
 
 
-def test_a_node_whose_starter_is_gone_already_does_not_begin() -> None:
+def test_a_node_whose_parent_process_has_ended_does_not_start() -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     ended = subprocess.run(
@@ -188,7 +186,7 @@ def test_a_node_whose_starter_is_gone_already_does_not_begin() -> None:
     assert re.fullmatch("recorder_node: terminated, as the process that started it is gone\n", ended.stderr)
 
 
-def test_a_launch_file_tells_its_nodes_whom_to_end_with() -> None:
+def test_the_launch_file_passes_its_process_id_to_the_nodes() -> None:
     source = (Path(__file__).parents[1] / "launch" / "rig.launch.py").read_text(encoding="utf-8")
     assert "SetEnvironmentVariable(PARENT_VARIABLE, str(os.getpid()))" in source
     assert endings.PARENT_VARIABLE == "IMPACT_RIG_EXIT_WITH", "users' own launch files may set it"
