@@ -91,7 +91,7 @@ class DaqmxError(ImpactRigError):
 
 
 class State(enum.Enum):
-    """State of a task, with its description for messages."""
+    """State of a task, with its description for messages; a task that an error has ended is `DONE`, too."""
 
     IDLE = "not started"
     ARMED = "waits for its start trigger"
@@ -113,7 +113,7 @@ class BoardChannel:
         unit: unit of the values: `Volts`, or that of an acceleration.
 
     Raises:
-        DaqmxError: the range is empty.
+        DaqmxError: `low` is not less than `high`.
     """
 
     name: str
@@ -126,7 +126,11 @@ class BoardChannel:
 
     def __attrs_post_init__(self) -> None:
         if not self.low < self.high:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"the range {self.low:g} to {self.high:g} is empty")
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"the smallest value of channel {self.name} must be less than its largest, got {self.low:g} and "
+                f"{self.high:g}",
+            )
 
     @property
     def is_accelerometer(self) -> bool:
@@ -143,7 +147,7 @@ class DaqmxTask:
         kind: "ai" (input) or "ao" (output); empty without channels.
         channels: channels of the task.
         rate_hz: samples per second of its clock; 0 means no clock: each call reads or writes at once.
-        samples: number of samples of a finite task; None means a continuous task.
+        samples: number of samples per channel of a finite task; None means a continuous task.
         clock_samples: number of samples per channel as given with the clock.
         buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
         trigger: kind of the task whose start also starts this one; empty if it has no trigger.
@@ -185,6 +189,29 @@ class DaqmxTask:
         """Return whether the task is running or waits for its trigger."""
         return self.state in {State.ARMED, State.RUNNING}
 
+    def must_be_idle(self) -> None:
+        """Check that the task is not running, so that its settings can change.
+
+        Raises:
+            DaqmxError: the task is running or waits for its trigger.
+        """
+        if self.is_active:
+            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING, "the task is running: stop it first")
+
+    def must_have_channels(self) -> None:
+        """Check that the task has channels.
+
+        Raises:
+            DaqmxError: it has none.
+        """
+        if not self.channels:
+            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "the task has no channels: add some first")
+
+    def raise_error(self) -> None:
+        """Raise the error that ended the task, if there is one."""
+        if self.error is not None:
+            raise self.error
+
     @property
     def available(self) -> int:
         """Number of samples per channel that an input task can return now without waiting; 0 for an output."""
@@ -200,7 +227,11 @@ class DaqmxTask:
 
     @property
     def buffer_size(self) -> int:
-        """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it."""
+        """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
+
+        NI-DAQmx makes the buffer of an output as large as the samples written before the start. That of an input
+        depends on rate and number of samples.
+        """
         if self.buffer_samples is not None:
             return self.buffer_samples
         if self.kind == "ao":
@@ -336,7 +367,7 @@ class Board:
         Raises:
             DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind.
         """
-        self._must_be_idle(task)
+        task.must_be_idle()
         if task.kind not in {"", kind}:
             raise DaqmxError(Code.INVALID_TASK, "a task has inputs or outputs, not both")
         found = self.physical_channels(physical, kind)
@@ -360,9 +391,8 @@ class Board:
             found += [f"{match[1]}{number}" for number in numbers] if match else [part]
         missing = [name for name in found if name not in known]
         if missing or not known:
-            raise DaqmxError(
-                Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"task {task.name!r} has no channel {', '.join(missing) or text!r}"
-            )
+            what = f"channel {', '.join(missing)}" if missing else "channels"
+            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"task {task.name!r} has no {what}")
         return [known[name] for name in found] or task.channels
 
     def configure_range(
@@ -377,9 +407,9 @@ class Board:
             high: largest value [unit of the channel].
 
         Raises:
-            DaqmxError: the task is running or has no such channel, or the range is empty.
+            DaqmxError: the task is running or has no such channel, or `low` would not be less than `high`.
         """
-        self._must_be_idle(task)
+        task.must_be_idle()
         for channel in self.channels(task, names):
             task.channels[task.channels.index(channel)] = attrs.evolve(
                 channel, low=channel.low if low is None else low, high=channel.high if high is None else high
@@ -397,8 +427,8 @@ class Board:
         Raises:
             DaqmxError: the task is running or has no channels, or the rate or the number of samples is invalid.
         """
-        self._must_be_idle(task)
-        self._must_have_channels(task)
+        task.must_be_idle()
+        task.must_have_channels()
         if not (math.isfinite(rate_hz) and rate_hz >= 1.0):
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate must be at least 1 Hz, got {rate_hz:g}")
         if finite and not 1 < samples <= MOST_SAMPLES:
@@ -416,7 +446,7 @@ class Board:
         Raises:
             DaqmxError: the task is running, or the size is invalid.
         """
-        self._must_be_idle(task)
+        task.must_be_idle()
         if not 1 <= samples <= MOST_SAMPLES:
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
@@ -434,18 +464,17 @@ class Board:
         Raises:
             DaqmxError: the task is running, or there is no such terminal.
         """
-        self._must_be_idle(task)
+        task.must_be_idle()
         match = re.fullmatch(r"/?[^/]+/(ai|ao)/StartTrigger", source, re.IGNORECASE)
         if source and (match is None or match[1].lower() == task.kind):
-            raise DaqmxError(
-                Code.TRIGGER_TERMINAL,
-                f"{source!r} cannot start this task: use /{self.devices[0]}/ai/StartTrigger of an input or "
-                f"/{self.devices[0]}/ao/StartTrigger of an output",
-            )
+            terminals = [f"/{self.devices[0]}/{kind}/StartTrigger" for kind in RATE_KEYS if kind != task.kind]
+            raise DaqmxError(Code.TRIGGER_TERMINAL, f"{source!r} cannot start this task: use {' or '.join(terminals)}")
         task.trigger = match[1].lower() if match else ""
 
     def start(self, task: DaqmxTask) -> None:
         """Start a task and those that it triggers; if it has a start trigger, make it wait for the trigger instead.
+
+        A task that is running or waits for its trigger is left alone.
 
         Raises:
             DaqmxError: it has no channels or samples, another task uses its channels, or the rig cannot run at its
@@ -453,7 +482,7 @@ class Board:
         """
         if task.is_active:
             return
-        self._must_have_channels(task)
+        task.must_have_channels()
         if task.kind == "ao" and not len(task.data):
             raise DaqmxError(
                 Code.OUTPUT_BUFFER_EMPTY, "the output buffer is empty: write samples before you start the task"
@@ -476,19 +505,22 @@ class Board:
             self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
-        """Stop a task; acquired samples can no longer be read, and its error is cleared."""
+        """Stop a task: acquired samples can no longer be read, and its error is cleared.
+
+        An output that does not repeat its buffer loses the samples that are still to be played.
+        """
         self._end(task, State.IDLE)
         task.acquisition, task.error, task.passed = None, None, 0
         if task.kind == "ao" and not task.regenerates:
             task.data = np.empty(0)
 
     def is_done(self, task: DaqmxTask) -> bool:
-        """Return whether a task is neither running nor waiting for its trigger.
+        """Return whether a task is neither running nor waiting for its trigger; also true before its first start.
 
         Raises:
             DaqmxError: an error ended the task.
         """
-        self._raise_error(task)
+        task.raise_error()
         return not task.is_active
 
     # Data
@@ -499,17 +531,20 @@ class Board:
         """Return the next samples of an input task, waiting for them.
 
         Args:
-            task: the task; it is started if it is not running.
-            count: samples per channel; a negative count means all samples of a finite task, or all available ones.
+            task: the task; it is started if it was not, unless its `auto_starts` is false. A task without a clock is
+                stopped again after the read.
+            count: samples per channel; a negative count means all that are left of a finite task, or all that a
+                continuous one has acquired.
             most: largest number of samples per channel that the client accepts.
             timeout_s: longest wait [s]; a negative value means no limit.
             goes_on: returns whether the client still waits for the answer.
 
         Returns:
-            Values in the units of the channels, shape (channels, count).
+            Values in the units of the channels, shape (channels, n), where n is `count` unless that is negative.
 
         Raises:
-            DaqmxError: the samples do not arrive in time, or cannot arrive at all.
+            DaqmxError: the task has no inputs, cannot be started or has failed, or the samples do not arrive in time,
+                were overwritten, or will never arrive because a finite task has fewer left.
         """
         if task.kind != "ai":
             raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels")
@@ -553,24 +588,28 @@ class Board:
         *,
         auto_start: bool,
     ) -> int:
-        """Write samples of an output task, and return how many were written.
+        """Write samples of an output task, and return their number; a call writes all of them or raises.
 
         Args:
             task: the task.
-            values: samples [V], shape (n,).
+            values: samples [V], shape (n,). Without a sample clock, the output takes the last of them and keeps it.
             timeout_s: longest wait for space in the buffer [s]; a negative value means no limit.
             goes_on: returns whether the client still waits for the answer.
             auto_start: whether to start the task if it is not running.
 
         Raises:
-            DaqmxError: the samples cannot be written, or not in time.
+            DaqmxError: the task has no output, is not running or has failed, a sample is out of range, or the buffer
+                had no space in time.
         """
         if task.kind != "ao":
             raise DaqmxError(Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channels")
-        self._raise_error(task)
+        task.raise_error()
         low, high = max(task.channels[0].low, -OUTPUT_RANGE_V), min(task.channels[0].high, OUTPUT_RANGE_V)
-        if not np.all((values >= low) & (values <= high)):
-            raise DaqmxError(Code.INVALID_AO_DATA_WRITE, f"samples must be from {low:g} to {high:g} V")
+        beyond = values[~((values >= low) & (values <= high))]
+        if len(beyond):
+            raise DaqmxError(
+                Code.INVALID_AO_DATA_WRITE, f"samples must be from {low:g} to {high:g} V, got {beyond[0]:g} V"
+            )
         if len(values) > MOST_SAMPLES:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {MOST_SAMPLES} samples at once, got {len(values)}")
         on_demand = task.rate_hz == 0
@@ -601,7 +640,7 @@ class Board:
         size = max(task.buffer_samples or 0, task.clock_samples, len(values))
 
         def has_room() -> bool:
-            self._raise_error(task)
+            task.raise_error()
             return len(task.data) + len(values) <= size
 
         self._wait(
@@ -751,10 +790,11 @@ class Board:
         wanted = (config.daq.rate_hz, config.drive.stream_rate_hz)
         if self._rig is not None and wanted == (self._rig.rate_hz, self._rig.stream_rate_hz):
             return self._rig
-        if any(one.is_active for one in self.tasks.values()):
+        if self._rig is not None and any(one.is_active for one in self.tasks.values()):
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
-                f"SampClk.Rate: input and output cannot run at {wanted[0]} and {wanted[1]} Hz while another task runs",
+                f"SampClk.Rate: a running task keeps input and output at {self._rig.rate_hz} and "
+                f"{self._rig.stream_rate_hz} Hz, so they cannot run at {wanted[0]} and {wanted[1]} Hz: stop it first",
             )
         self._config = config
         self._rig, self._epoch = LocalRig(config), time.monotonic()
@@ -799,7 +839,7 @@ class Board:
         return np.array(found, np.float64)
 
     def _check_read(self, task: DaqmxTask, wanted: int) -> None:
-        self._raise_error(task)
+        task.raise_error()
         if task.acquisition is not None and task.acquisition.lost:
             raise DaqmxError(
                 Code.SAMPLES_NO_LONGER_AVAILABLE,
@@ -812,18 +852,3 @@ class Board:
                 f"{wanted} samples requested, but only {task.samples - task.passed} of the {task.samples} of this "
                 "finite task are left",
             )
-
-    @staticmethod
-    def _raise_error(task: DaqmxTask) -> None:
-        if task.error is not None:
-            raise task.error
-
-    @staticmethod
-    def _must_be_idle(task: DaqmxTask) -> None:
-        if task.is_active:
-            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING, "the task is running: stop it first")
-
-    @staticmethod
-    def _must_have_channels(task: DaqmxTask) -> None:
-        if not task.channels:
-            raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "the task has no channels: add some first")

@@ -23,6 +23,7 @@ import contextlib
 import datetime as dt
 import functools
 import os
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from typing import Any  # messages of protobuf, whose classes have no static types
@@ -155,7 +156,7 @@ class Service:
 
     @_served
     def ResetDevice(self, request: Any, context: Any) -> None:
-        """Stop all tasks of the board."""
+        """Stop all tasks of the board, which has only this one device under all its names."""
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
             self.board.stop(task)
@@ -255,7 +256,7 @@ class Service:
 
     @_served
     def ReadAnalogScalarF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read the next sample of the first channel of a task."""
+        """Read the next scan of a task, and return the sample of its first channel."""
         return {"value": self.board.read(self._task(request), 1, 1, request.timeout, context.is_active)[0, 0]}
 
     @_served
@@ -464,11 +465,12 @@ class Service:
         """Set a property of a task.
 
         Raises:
-            DaqmxError: the property cannot be set, or not to this value.
+            DaqmxError: the property cannot be set on this board, not while the task runs, or not to this value.
         """
         pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
         value = _value(request, "value")
-        if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE and not task.is_active:
+        if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE:
+            task.must_be_idle()
             mode = self._must_be(request, "value", {ALLOW_REGENERATION, DONT_ALLOW_REGENERATION})
             task.regenerates = mode == ALLOW_REGENERATION
         elif attribute == pb.READ_ATTRIBUTE_AUTO_START:
@@ -482,9 +484,7 @@ class Service:
         elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MAX, pb.CHANNEL_ATTRIBUTE_AO_MAX}:
             self.board.configure_range(task, request.channel, high=value)
         else:
-            raise DaqmxError(
-                Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board, or not while the task runs"
-            )
+            raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board")
 
     @_served
     def GetErrorString(self, request: Any, context: Any) -> dict[str, Any]:
@@ -554,6 +554,18 @@ def servicer(board: Board) -> Any:
     return type("Servicer", (Service, stubs.NiDAQmxServicer), _properties(stubs.NiDAQmxServicer))(board)
 
 
+def _reason(address: str) -> str:
+    """Return why a server cannot listen on an address `HOST:PORT`, as the operating system reports it."""
+    host, _, port = address.rpartition(":")
+    try:
+        family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind(where)
+    except OSError as error:
+        return str(error.strerror)
+    return "gRPC does not accept this address"
+
+
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
     """Serve a board until the end of the block; yield the gRPC server and its port. Then the board is closed.
@@ -582,9 +594,7 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
         try:
             port = server.add_insecure_port(address)
         except RuntimeError as error:
-            raise ImpactRigError(
-                f"cannot listen on {address}: the port is in use, or the host is not of this machine"
-            ) from error
+            raise ImpactRigError(f"cannot listen on {address}: {_reason(address)}") from error
         server.start()
         try:
             yield server, port

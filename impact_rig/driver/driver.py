@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig import topics
-from impact_rig.blocks import Table
+from impact_rig.blocks import WAVEFORM, Table
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import SCAN
@@ -66,8 +66,8 @@ class StreamLevel(NamedTuple):
         sample: number of the next sample to play.
         buffered: number of samples from there on, up to the first gap.
         capacity: number of samples that the buffer can hold.
-        late: number of samples dropped so far because they arrived too late.
-        missing: number of samples so far that had not arrived when they were needed.
+        late: number of samples dropped because they arrived too late, since the start or the last reset of the rig.
+        missing: number of samples that had not arrived when they were needed, counted likewise.
     """
 
     sample: int
@@ -120,7 +120,7 @@ class RigDriver(abc.ABC):
         runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
         scenario: text of a program that repeats the actions on this rig; it is saved with the run of a failed test.
         turns: lock that a thread holds while it calls a rig that it shares with other threads.
-        fed: event that is set when samples were sent or the stream was ended.
+        fed: event that wakes a thread which waits for samples: another one has sent some, or ended the stream.
     """
 
     lead_s = 0.0
@@ -165,10 +165,6 @@ class RigDriver(abc.ABC):
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
         """Return the entries of the journal, which has every input that changed the rig's state, oldest first."""
-
-    @abc.abstractmethod
-    def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest `count` rows of a topic's tables, shape (count,), waiting until so many have arrived."""
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
@@ -235,7 +231,9 @@ class RigDriver(abc.ABC):
         """Process what has arrived from a rig that runs by itself, without waiting; no effect on other rigs."""
 
     def connect(self, listener: Callable[[Table], object]) -> None:
-        """Call a function with every block of scans from now on, in order.
+        """Call a function with every block of scans from now on, in order, while the rig advances.
+
+        Blocks that a fault loses are left out. An exception of the function ends the call that advances the rig.
 
         Args:
             listener: function that gets each table of `daq/scan`.
@@ -285,8 +283,8 @@ class RigDriver(abc.ABC):
 
     @property
     def frontier_sample(self) -> int:
-        """Number of the first scan that is not measured yet: the earliest one that an input can act on."""
-        return max(self.sample, first_scan_on_grid(self.sample, self.rate_hz))
+        """Number of the earliest scan that a command can act on: not measured yet, and on the grid of 10 ms."""
+        return first_scan_on_grid(self.sample, self.rate_hz)
 
     @property
     def time_s(self) -> float:
@@ -370,13 +368,15 @@ class RigDriver(abc.ABC):
         Raises:
             CommandError: a value is out of range, the shaker is stopped, or no command can act on this scan.
             ConfigError: the rig has already passed `at_sample`.
+            TimeoutError: as for `step`, on the way to `at_sample`.
         """
         if at_sample is None:
             return self._command(frequency_hz, current_a)
         if first_scan_on_grid(at_sample, self.rate_hz) != at_sample or at_sample % self.block_scans:
             raise CommandError(
                 f"no command can act on sample {at_sample}: at {self.rate_hz} Hz commands act every "
-                f"{self.rate_hz / TICKS_PER_S:g} samples, and a block has {self.block_scans}"
+                f"{self.rate_hz / TICKS_PER_S:g} samples, and only at the first sample of a block of "
+                f"{self.block_scans}; without at_sample, the command acts as soon as it can"
             )
         self.run_to_sample(at_sample)
         acts_on = self._command(frequency_hz, current_a)
@@ -421,9 +421,9 @@ class RigDriver(abc.ABC):
 
         The journal, the applied commands and the calibration are kept, because they apply to all later scans.
         """
-        self._lost_before = self.lost_scans
+        lost = self.lost_scans
         self._forget()
-        self._kept_from = self.sample
+        self._lost_before, self._kept_from = lost, self.sample
 
     def expected_transmissibility(self, frequency_hz: float) -> complex:
         """Return the transmissibility X_1 / X_b of a rig without its sphere in closed form.
@@ -448,14 +448,17 @@ class RigDriver(abc.ABC):
 
     @property
     def lost_scans(self) -> int:
-        """Number of scans so far that the rig measured but did not publish, as with a fault that loses blocks."""
+        """Number of scans that the rig measured but did not publish since its start or last reset.
+
+        A fault that loses blocks is the usual reason.
+        """
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the ranges of scans that were measured but not published since the last `clear`.
+        """Return the ranges of scans that were measured but not published since the last `clear` or reset.
 
         Returns:
-            Pairs of first scan and the one after the last.
+            Pairs of the first scan of a range and the one after its last, in order; empty if there is none.
         """
         lost, expected = [], self._kept_from
         for table in self.tables():
@@ -467,6 +470,22 @@ class RigDriver(abc.ABC):
             expected = first + len(table.rows)
         return lost if expected >= self.sample else [*lost, (expected, self.sample)]
 
+    def newest(self, topic: str, count: int) -> NDArray[np.void]:
+        """Return the newest rows of the tables of a topic.
+
+        Args:
+            topic: name of the topic, such as `daq/scan`.
+            count: number of rows.
+
+        Returns:
+            Rows, shape (count,), oldest first; fewer if the rig keeps fewer.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+        """
+        rows = self.rows(topic)
+        return rows[max(0, len(rows) - count) :]
+
     @property
     def faults(self) -> list[Fault]:
         """Instrument faults that the configuration plans."""
@@ -475,7 +494,11 @@ class RigDriver(abc.ABC):
     # Reports
 
     def report(self) -> str:
-        """Return a report for a failed test: changed settings, faults, losses and the last ten changes of the drive."""
+        """Return a report of several lines for a failed test.
+
+        It has the settings that differ from the defaults, the faults, the first five ranges of lost scans, and the last
+        ten commands of the drive.
+        """
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
         lines = [f"{self.name}: {self.time_s:g} s of rig time, {self.sample} scans at {self.rate_hz} Hz"]
@@ -495,6 +518,12 @@ class RigDriver(abc.ABC):
             table: a table of `daq/scan`, whose stamp gives the number.
         """
         return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
+
+    def _samples(self, first: int, values: NDArray[np.float64]) -> Table:
+        """Return the table of `shaker/waveform` with samples of the stream, the first with the number `first`."""
+        rows = np.zeros(len(values), WAVEFORM)
+        rows["value"] = values
+        return Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)
 
     def _faults_so_far(self) -> str:
         begun = [str(fault) for fault in self.faults if fault.start_sample < self.sample]

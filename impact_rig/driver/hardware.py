@@ -268,14 +268,14 @@ class Acquisition:
             self._end = self._kept[-1][0] + len(self._kept[-1][1]) if self._kept else scan or 0
 
     def stop(self) -> None:
-        """Stop keeping scans; those that have arrived can still be read."""
+        """Stop keeping scans; those that have arrived can still be read, and a `read` of more scans starts again."""
         with self._rig.turns:
             if self._started:
                 self._rig.disconnect(self._on_block)
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
-        """Return how much later in rig time a scan is taken than a sample of the output is played [s].
+        """Return how much later in rig time a scan is taken than a sample of the output is played [s], < 0 if earlier.
 
         Args:
             sample: number of the sample.
@@ -401,8 +401,8 @@ class Exchange:
 
     Args:
         hardware: output and acquisition, with equal rates.
-        lag: number of samples that are written ahead of the scans read; zeros at first. It is limited to a quarter of
-            the rig's buffer.
+        lag: number of samples that are written ahead of the scans read, at least 1; zeros at first. It is limited to a
+            quarter of the rig's buffer.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
@@ -436,7 +436,9 @@ def _refresh(rig: RigDriver) -> None:
 
 
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
-    """Advance rig time by one block; if a shared rig lacks samples for it, wait until another thread writes some.
+    """Advance rig time by one block, and drop the rig's tables, except those of `ESSENTIAL`.
+
+    If a shared rig lacks samples for the block, wait until another thread writes some.
 
     Args:
         rig: the rig.

@@ -30,7 +30,7 @@ import impact_rig
 from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.blocks import Table
 from impact_rig.driver.driver import (
     ESSENTIAL,
     SCANS,
@@ -132,7 +132,8 @@ class LocalRig(RigDriver):
         self._injected: deque[Fault] = deque(maxlen=KEPT_FAULTS)
         if unknown := next((topic for topic in also if topic not in TYPES), ""):
             raise ConfigError(
-                f"unknown topic {unknown!r} in `also`" + did_you_mean(unknown, TYPES, ", did you mean {!r}?")
+                f"unknown topic {unknown!r} in `also`"
+                + did_you_mean(unknown, TYPES, ", did you mean {!r}?", f": the topics are {', '.join(sorted(TYPES))}")
             )
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
         self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
@@ -188,21 +189,6 @@ class LocalRig(RigDriver):
     def journal(self) -> list[JournalEntry]:
         """Return the entries of the journal that are kept, oldest first: every input that changed the rig's state."""
         return list(self._kept[topics.JOURNAL.name])
-
-    def newest(self, topic: str, count: int) -> NDArray[np.void]:
-        """Return the newest rows of the tables of a topic.
-
-        Args:
-            topic: name of the topic, such as `daq/scan`.
-            count: number of rows.
-
-        Returns:
-            Rows, shape (count,); fewer if there are not so many.
-
-        Raises:
-            ConfigError: the rig keeps no tables of this topic.
-        """
-        return self.rows(topic)[-count:]
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values from the first scan that is not measured yet.
@@ -262,10 +248,7 @@ class LocalRig(RigDriver):
                 buffer.
         """
         if self._recording is not None:
-            rows = np.zeros(len(samples), WAVEFORM)
-            rows["value"] = samples
-            stamp = stamp_ns(first, self.stream_rate_hz, self.core.start_ns)
-            self._record(topics.WAVEFORM.name, Table(stamp, rows))
+            self._record(topics.WAVEFORM.name, self._samples(first, samples))
         self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
@@ -392,8 +375,6 @@ class LocalRig(RigDriver):
             self._forget_oldest()
             while self._early_bytes > self._kept_bytes // 2 and self._forget_early():
                 pass
-            if self._kept[SCANS]:
-                self._kept_from = self.first_scan(self._kept[SCANS][0])
 
     def _record(self, topic: str, one: Table | JournalEntry) -> None:
         if self._recording is not None:
@@ -413,6 +394,10 @@ class LocalRig(RigDriver):
             return
         self._kept[topic].popleft()
         self._bytes -= _size(one)
+        if topic == SCANS and isinstance(one, Table) and one.stamp_ns >= self._start_ns:  # since the last reset
+            first = self.first_scan(one)
+            self._lost_before += first - self._kept_from
+            self._kept_from = first + len(one.rows)
 
     def _forget_early(self) -> bool:
         """Drop the oldest table of `ESSENTIAL` that a later one has replaced, to free memory.
@@ -447,9 +432,9 @@ def _settings(analysis: Mapping[str, Any]) -> tuple[TrackerSettings, float | Non
         ConfigError: a setting is unknown or invalid.
     """
     settings = {name: value for name, value in analysis.items() if name != "gap_m"}
-    known = [field.name for field in attrs.fields(TrackerSettings)]
+    known = ["gap_m", *(field.name for field in attrs.fields(TrackerSettings))]
     if unknown := next((name for name in settings if name not in known), ""):
-        hint = did_you_mean(unknown, known, ", did you mean {!r}?")
+        hint = did_you_mean(unknown, known, ", did you mean {!r}?", f": the settings are {', '.join(known)}")
         raise ConfigError(f"unknown setting {unknown!r} of the analysis{hint}")
     gap_m = analysis.get("gap_m")
     return TrackerSettings(**settings), math.nan if gap_m is not None and gap_m < 0.0 else gap_m

@@ -37,7 +37,7 @@ from std_srvs.srv import Trigger
 
 from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.blocks import WAVEFORM, Table
+from impact_rig.blocks import Table
 from impact_rig.client.client import (
     Client,
     Collector,
@@ -291,13 +291,14 @@ class RosRig(RigDriver):
             output: topic on which the node answers every block. The stamp in an answer's header tells which block;
                 answers without a header are counted. None: the node sends `daq/ack` itself, with its name as
                 `frame_id`.
-            timeout_s: time limit for the node to subscribe to daq/scan [s], by default 30.
+            timeout_s: time limit for the node to subscribe to daq/scan, and then to publish `output` [s], by default
+                30 each.
 
         Returns:
             The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
 
         Raises:
-            TimeoutError: the node did not subscribe in time.
+            TimeoutError: the node did not subscribe, or has no publisher on `output`, in time.
             GoneError: its process ended; the message quotes the end of its log.
         """
         self.processes.start(name, parameters, name=name, command=command)
@@ -309,13 +310,14 @@ class RosRig(RigDriver):
         Args:
             name: node name of the node.
             output: topic on which the node answers every block, as for `start_node`.
-            timeout_s: time limit for the node to subscribe to daq/scan [s], by default 30.
+            timeout_s: time limit for the node to subscribe to daq/scan, and then to publish `output` [s], by default
+                30 each.
 
         Returns:
             The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
 
         Raises:
-            TimeoutError: the node did not subscribe in time.
+            TimeoutError: the node did not subscribe, or has no publisher on `output`, in time.
         """
         node = self.client.node
         self.client.wait_until(
@@ -418,14 +420,14 @@ class RosRig(RigDriver):
             count: number of rows.
 
         Returns:
-            Rows, shape (count,).
+            Rows, shape (count,), oldest first.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic.
+            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
             TimeoutError: so many rows did not arrive within 10 s.
         """
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
-        return self.rows(topic)[-count:]
+        return super().newest(topic, count)
 
     def _forget(self) -> None:
         if self.runs_by_itself:
@@ -495,10 +497,7 @@ class RosRig(RigDriver):
         """
         if stopped := self.stopped:
             raise CommandError(stopped)
-        rows = np.zeros(len(samples), WAVEFORM)
-        rows["value"] = samples
-        table = Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)
-        self.client.publish(topics.WAVEFORM, codec.encode(table), listener="rig")
+        self.client.publish(topics.WAVEFORM, codec.encode(self._samples(first, samples)), listener="rig")
         self._sent_to = first + len(samples)
 
     def stream_level(self) -> StreamLevel:
@@ -631,7 +630,7 @@ class RosRig(RigDriver):
         """
         directory, run = Path(directory), self._run
         if run is None:
-            raise RecordingError("no recording to save: start the rig with record=True")
+            raise RecordingError("nothing is being recorded: start the rig with `record`, and save once")
         try:
             self.stop_recording()
         # a process has ended or hangs, or a hosted node raises: a recorder finishes its run as it ends

@@ -156,6 +156,19 @@ def test_a_long_test_forgets_the_oldest_data(tmp_path: Path) -> None:
         assert str(verify(run)).startswith("identical")
 
 
+def test_lost_scans_are_counted_when_the_tables_around_them_are_no_longer_kept() -> None:
+    lost = [Fault(kind="lost_block", start_sample=start, samples=100) for start in (1000, 9000)]
+    rig = LocalRig(LINEAR, lost, kept_bytes=50 * 100 * 41)
+    rig.run(1.0)
+    assert rig.lost_samples() == [(9000, 9100)]
+    assert rig.lost_scans == 200
+    rig.clear()
+    assert rig.lost_samples() == []
+    assert rig.lost_scans == 200
+    rig.reset()
+    assert rig.lost_scans == 0
+
+
 @pytest.mark.parametrize("what", ["nothing", "commands", "changes", "faults"])
 def test_a_long_test_takes_bounded_memory(what: str) -> None:
     """Compare the memory after 600 and 1,200 blocks, with changes in every block."""

@@ -131,6 +131,7 @@ def test_the_truth_of_every_scan_is_available_on_request(start: Start) -> None:
     rig.clear()
     rig.step(3)
     assert len(rig.newest("truth/scan", 300)) == 300
+    assert len(rig.newest("truth/scan", 0)) == 0
 
 
 def test_a_topic_that_is_not_kept_is_rejected_with_a_list_of_those_that_are(start: Start) -> None:
