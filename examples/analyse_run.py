@@ -22,7 +22,7 @@ from impact_rig.recording import open_run
 
 
 def analyse(path, correct_lag=True):
-    """Return {name: value} of the last window of a run."""
+    """Return the number of windows and gaps in a run, and DT and phase [degrees] of the last window, by name."""
     with open_run(path) as run:
         info = next(run.tables("daq/info")).rows
         drive = [table.rows[-1] for table in run.tables("shaker/applied")][-1]

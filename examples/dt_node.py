@@ -26,7 +26,7 @@ from std_msgs.msg import Float64
 
 
 class DtNode(Node):
-    """Publishes `dt` for every window without a gap and without a clipped sample."""
+    """Publishes `dt`, a transmissibility, for each window of 9 cycles without a gap and without a clipped sample."""
 
     def __init__(self):
         super().__init__("dt")

@@ -39,7 +39,7 @@ class FirstNode(Node):
         self.timer = self.create_timer(0.5, self.drive)
 
     def drive(self):
-        """A message sent before the rig has discovered this node is lost: repeat it."""
+        """Send both commands, again every 0.5 s: one sent before the rig has discovered this node is lost."""
         self.frequency.publish(Float64(data=FREQUENCY_HZ))
         self.current.publish(Float64(data=CURRENT_A))
 

@@ -29,7 +29,7 @@ from impact_rig.system.files import share_dir
 
 @launch_pytest.fixture
 def description() -> LaunchDescription:
-    """One rig as fast as its analysis follows, not recorded."""
+    """Return a launch description of one rig, which runs as fast as its analysis follows and is not recorded."""
     source = PythonLaunchDescriptionSource(str(share_dir() / "launch" / "rig.launch.py"))
     arguments = {"mode": "free_running", "peers": "analysis", "record": "false"}
     return LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments.items()), ReadyToTest()])

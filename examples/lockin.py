@@ -13,8 +13,8 @@
 # limitations under the License.
 """Displacement transmissibility by lock-in: a pipeline of a user, which does not import impact_rig.
 
-Blocks go in, complex ratios X_1 / X_b come out, one for each window of whole cycles. A gap between blocks, or a clipped
-sample, makes it start over: a lock-in that counts samples would otherwise be wrong and never know.
+From blocks of scans it computes complex ratios X_1 / X_b, one for each window of whole cycles. After a gap between
+blocks or a clipped sample it starts again: a lock-in counts samples, so its phase would be wrong from there on.
 """
 
 import dataclasses
@@ -28,13 +28,15 @@ CLIPPED = {"laser": 1 << 1, "base": 1 << 2}
 
 @dataclasses.dataclass
 class LockIn:
-    """Measures at one frequency.
+    """Lock-in at one frequency.
 
     Args:
-        frequency_hz: of the drive.
+        frequency_hz: frequency of the drive [Hz].
         rate_hz: scans per second.
-        cycles: per window.
-        settle_s: left out after a start: the filter's transient, and the rig's.
+        cycles: cycles per window.
+        settle_s: time that is left out after each start [s], for the transients of the filter and of the rig.
+        gaps: number of gaps between blocks so far.
+        clipped: number of blocks with a clipped sample so far.
     """
 
     frequency_hz: float
@@ -57,7 +59,7 @@ class LockIn:
         self.to_skip = round(self.settle_s * self.rate_hz)
 
     def feed(self, stamp_ns, rows):
-        """Take one block; return the ratios of the windows it completes, mostly none or one."""
+        """Process one block, and return the ratios of the windows that it completes: a list, mostly empty."""
         if self.expected_ns is not None and abs(stamp_ns - self.expected_ns) > 0.5e9 / self.rate_hz:
             self.gaps += 1
             self.restart()

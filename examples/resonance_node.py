@@ -15,7 +15,8 @@
 
 Below resonance the structure follows the base, above it moves against it, at resonance it lags a quarter of a cycle:
 the real part of X_b / X_1 is 1 - (f / f_n)^2, which passes through zero there. The controller moves the frequency by
-half of what that says, waits until the rig reports its command as applied and has settled, and measures again.
+half of the difference that this ratio states, waits until the rig has applied its command and settled (1.5 s), and
+measures again.
 """
 
 import numpy as np
@@ -34,7 +35,7 @@ LOWEST_HZ, HIGHEST_HZ = 6.0, 12.0
 
 
 class ResonanceNode(Node):
-    """Commands `shaker/frequency`; publishes its phase error [rad] as `phase_error`, 0 at resonance."""
+    """Commands `shaker/frequency`, between 6 and 12 Hz; publishes its phase error [rad], 0 at resonance."""
 
     def __init__(self):
         super().__init__("resonance")

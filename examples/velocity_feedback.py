@@ -27,7 +27,10 @@ GAIN_A_S_M, AHEAD_NS = 5.0, 40_000_000
 
 
 class VelocityFeedback(Node):
-    """Current against the velocity that the laser saw, 40 ms ahead of it; a sine of 0.1 A is what it works against."""
+    """Answers each block of scans with a sine of 0.1 A, minus a current in proportion to the velocity in the block.
+
+    The first sample of an answer is played 40 ms after the first scan of its block.
+    """
 
     def __init__(self):
         super().__init__("velocity_feedback")

@@ -25,7 +25,9 @@ CHANNELS = ("accelerometer", "laser", "base", "current")
 BLOCK_S = 0.05
 
 
-class RigAcquisition(BaseAcquisition):  # in SI units
+class RigAcquisition(BaseAcquisition):
+    """Acquisition of the four channels in SI units."""
+
     def __init__(self, rig, acquisition_name="rig"):
         super().__init__()
         self.acquisition_name, self.sample_rate = acquisition_name, rig.rate_hz
@@ -49,7 +51,9 @@ class RigAcquisition(BaseAcquisition):  # in SI units
         self.acquisition.read_remaining()
 
 
-class RigGeneration(BaseGeneration):  # of a signal [A], again and again
+class RigGeneration(BaseGeneration):
+    """Generation that repeats a signal [A] until it is stopped."""
+
     def __init__(self, rig, signal, generation_name="rig"):
         super().__init__()
         self.generation_name, self.output = generation_name, AnalogOutput(rig, buffer_s=0.5)

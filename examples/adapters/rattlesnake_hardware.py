@@ -29,6 +29,8 @@ BLOCKS_AHEAD = 3  # written ahead of what is played
 
 
 class RigAcquisition:
+    """Acquisition with the methods that Rattlesnake calls."""
+
     def set_up_data_acquisition_parameters_and_channels(self, test_data, channel_data):
         rig = RosRig({"daq.rate_hz": int(test_data.sample_rate)}, namespace=test_data.hardware_file)
         self.acquisition, self.count, self.close = Acquisition(rig), test_data.samples_per_read, rig.close
@@ -50,6 +52,8 @@ class RigAcquisition:
 
 
 class RigOutput:
+    """Output of one drive with the methods that Rattlesnake calls."""
+
     def set_up_data_output_parameters_and_channels(self, test_data, channel_data):
         rate_hz, self.count = int(test_data.output_sample_rate), test_data.samples_per_write
         rig = RosRig({"drive.stream_rate_hz": rate_hz}, namespace=test_data.hardware_file)

@@ -28,12 +28,7 @@ from impact_rig.analysis.transmissibility import note_on
 from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.options import call
 from impact_rig.cli.parsers import analyses
-from impact_rig.cli.terminal import (
-    Console,
-    TextTable,
-    figure,
-    tell_json,
-)
+from impact_rig.cli.terminal import Console, TextTable, counted, figure, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
 from impact_rig.states import MEASURED, Status
@@ -88,7 +83,7 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _print_last(console: Console, rows: NDArray[np.void]) -> None:
-    """Print the newest settled measurement as a sentence, the result that most users want."""
+    """Print the newest settled measurement as a sentence; without one, the newest that did not settle, if any."""
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
         console.print("no settled measurement in this run")
@@ -133,11 +128,9 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
     if table.row_count:
         console.print(table)
     if not (everything or np.all(measured)):
-        words, counts = np.unique(rows["status"][~measured], return_counts=True)
-        why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
         console.print(
-            f"rows left out because they have no value of DT: {why} (--all shows them; docs/explanation/analysis.md "
-            "explains these words)"
+            f"rows left out because they have no value of DT: {counted(rows['status'][~measured])} (--all shows them; "
+            "docs/explanation/analysis.md explains these words)"
         )
 
 
@@ -232,7 +225,7 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
 def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze --sine`: print and draw the sine fitted to each channel, and the DT that follows.
 
-    Return exit code 1 if the sines of laser and base give no valid DT, else 0.
+    Return exit code 1 if laser and base were measured but their sines give no valid DT, else 0.
     """
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above

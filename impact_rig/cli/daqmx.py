@@ -31,6 +31,8 @@ def run_daqmx(arguments: argparse.Namespace) -> int:
 
     if not 0 <= arguments.port <= 65535:
         raise ImpactRigError(f"--port must be from 0 to 65535, got {arguments.port}")
+    if arguments.config and arguments.namespace:
+        raise ImpactRigError("--config describes a rig to simulate: use it without --namespace")
     config = load_config(arguments.config) if arguments.config else RigConfig()
     rig = None
     if arguments.namespace:

@@ -34,7 +34,7 @@ PROCESS, ROS, RUNNING = "process", "ros", "running"
 WAYS = {
     PROCESS: "in this program (default)",
     ROS: "in ROS nodes that this program starts",
-    RUNNING: "a rig that already runs, with its own configuration",
+    RUNNING: "a rig that already runs (--config, --gap and --sphere-start are refused), with its own configuration",
 }
 """Places where a rig can run, each with its meaning."""
 
@@ -135,7 +135,9 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
     parser.add_argument("--through", choices=ways, default=PROCESS, help=f"place where the rig runs: {places}{needs}")
     parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
     if RUNNING in ways:
-        parser.add_argument("--namespace", help=f"namespace of the running rig (default: {NAMESPACE})")
+        parser.add_argument(
+            "--namespace", help=f"namespace of the running rig, with --through running (default: {NAMESPACE})"
+        )
     add_config(parser)
     parser.add_argument(
         "--gap",

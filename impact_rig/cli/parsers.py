@@ -74,11 +74,16 @@ def add_record(commands: Commands) -> None:
         "--seed",
         type=int,
         metavar="N",
-        help="seed of the instruments' noise and calibration errors (default: as configured)",
+        help="seed of the instruments' noise and calibration errors (default: as configured; not for a running rig)",
     )
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: as configured)")
+    parser.add_argument(
+        "--scan-rate",
+        type=int,
+        metavar="HZ",
+        help="scans per second, in blocks of 10 ms (default: as configured; not for a running rig)",
+    )
     add_rig(parser)
-    add_output(parser, "directory of the run (default: runs/record_<time>)")
+    add_output(parser, "new or empty directory of the run (default: runs/record_<time>)")
     add_json(parser)
 
 
@@ -215,6 +220,8 @@ def add_replay(commands: Commands) -> None:
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
         ],
+        "The messages reach this machine only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set. Exit code 0: all were "
+        "published; 1: not, for the printed reason.",
     )
     parser.set_defaults(needs_ros=lambda _: True)
     add_run(parser)
@@ -223,7 +230,7 @@ def add_replay(commands: Commands) -> None:
         type=_rate,
         default=1.0,
         metavar="X",
-        help="speed as a multiple of real time, or max: as fast as the peers follow (default: 1)",
+        help="speed as a multiple of real time, from 0.001 to 1000, or max: as fast as the peers follow (default: 1)",
     )
     parser.add_argument(
         "--peers",
@@ -238,7 +245,7 @@ def add_replay(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="TOPIC",
-        help="topics to publish, with --peers also daq/scan (default: all)",
+        help="topics to publish, with or without namespace; with --peers, daq/scan must be one of them (default: all)",
     )
     parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     parser.add_argument(
@@ -290,7 +297,7 @@ def add_recover(commands: Commands) -> None:
     )
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     add_json(parser)
-    parser.add_argument("out", type=Path, metavar="OUT", help="new run directory")
+    parser.add_argument("out", type=Path, metavar="OUT", help="run directory to write, which must not exist yet")
     parser.add_argument(
         "--accept-unchecked",
         action="store_true",
@@ -318,7 +325,12 @@ def add_export(commands: Commands) -> None:
         help="table to write: for a run a topic, e.g. transmissibility/table; for a campaign or a map: points; for "
         "dynamics: the kind of study",
     )
-    parser.add_argument("target", type=Path, metavar="FILE", help="file to write; its suffix selects the format")
+    parser.add_argument(
+        "target",
+        type=Path,
+        metavar="FILE",
+        help="new file to write; its suffix selects the format: .csv, .npz, .parquet or .uff",
+    )
 
 
 def add_fmu(commands: Commands) -> None:
@@ -360,12 +372,15 @@ def add_daqmx(commands: Commands) -> None:
             ("daqmx --config my_rig.yaml --device cDAQ1Mod1 cDAQ1Mod2", "another rig, named as in a script"),
             ("daqmx --namespace /rig", "a rig that already runs in real time with drive.waveform: stream"),
         ],
-        "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks.",
+        "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks. The command runs "
+        "until Ctrl-C; its exit code is then 0.",
     )
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
     add_config(parser)
     parser.add_argument(
-        "--namespace", help="namespace of a running rig to serve (default: this program simulates a rig)"
+        "--namespace",
+        help="namespace of a running rig to serve, which keeps its configuration (default: this program simulates a "
+        "rig)",
     )
     parser.add_argument(
         "--device",
@@ -399,6 +414,7 @@ def add_check(commands: Commands) -> None:
             ("check config/nominal.yaml", "prints that it is valid, or key, value, range and file of a mistake"),
             ("check my_rig.yaml --instruments", "also applies a known sine to every channel"),
         ],
+        "Exit code 0: the file is valid, and no channel fails the check of --instruments; 1: otherwise.",
     )
     parser.add_argument("path", type=Path, metavar="FILE", help="configuration of the rig, as YAML")
     add_json(parser)

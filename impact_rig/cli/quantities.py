@@ -29,8 +29,6 @@ from impact_rig.config.fields import FieldInfo
 from impact_rig.config.sections import Barriers
 from impact_rig.errors import ConfigError
 
-__all__ = ["GAP", "NO_SPHERE_WORD", "Quantity", "add_field", "positive"]
-
 LENGTH = "m"
 NO_SPHERE_WORD = "none"
 POWERS: Mapping[str, Mapping[str, int]] = {

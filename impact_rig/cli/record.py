@@ -29,12 +29,13 @@ from impact_rig import topics
 from impact_rig.cli.options import RUNNING, running_namespace
 from impact_rig.cli.parsers import CURRENT_A, FREQUENCY_HZ
 from impact_rig.cli.rig_options import open_rig, refuse_for_running, rig_of, run_directory
-from impact_rig.cli.terminal import Console, Counted, TextTable, figure, tell_results
+from impact_rig.cli.terminal import Console, Counted, TextTable, counted, figure, tell_results
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
+from impact_rig.states import Status
 from impact_rig.system.endings import defer_signals
 
 SCANS_TIMEOUT_S = 30.0  # largest wall time of a rig for one block of scans
@@ -64,7 +65,7 @@ def run_record(arguments: argparse.Namespace) -> int:
         if not directory.exists():
             raise interrupted or ImpactRigError(early)
         found = _measured(directory)
-        missing = "" if found.rows.size else _why_nothing(found, done_s)
+        missing = "" if found.rows.size else _why_nothing(found, done_s, early)
         if found.rows.size:
             _print(console, found)
         for line in [missing, f"ended early: {early}" if early else ""]:
@@ -155,12 +156,14 @@ def _measured(directory: Path) -> RunMeasurements:
         return RunMeasurements(rows, settled, calibration_rows(run))
 
 
-def _why_nothing(found: RunMeasurements, seconds: float) -> str:
-    if not len(found.everything):
-        return f"no DT: {seconds:.3g} s are too short for one measurement; use a longer --seconds"
-    words, counts = np.unique(found.everything["status"], return_counts=True)
-    why = ", ".join(f"{count} {word.decode()}" for word, count in zip(words, counts, strict=True))
-    return f"no DT: none of {len(found.everything)} measurements is settled ({why}); use a longer --seconds"
+def _why_nothing(found: RunMeasurements, seconds: float, early: str) -> str:
+    """Return why a run of this many seconds, which ended early for a reason or not (empty), has no DT."""
+    statuses = found.everything["status"].tolist()
+    if not statuses:
+        remedy = "" if early else "; use a longer --seconds"
+        return f"no DT: {seconds:.3g} s are too short for one measurement{remedy}"
+    last = Status(statuses[-1].decode())
+    return f"no DT: none of {len(statuses)} measurements is settled: {counted(statuses)}; {last}: {last.doc}"
 
 
 def _print(console: Console, found: RunMeasurements) -> None:

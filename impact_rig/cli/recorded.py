@@ -179,10 +179,7 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
             }
             for one in report.files
         ],
-        "damages": [
-            {"file": str(one.file), "offset": one.offset, "length": one.length, "reason": one.reason}
-            for one in report.damages
-        ],
+        "damages": [attrs.asdict(one) for one in report.damages],
         "damage_count": report.damage_count,
     }
 

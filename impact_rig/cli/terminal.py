@@ -24,7 +24,8 @@ import json
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any  # what rich's methods take
 
@@ -44,8 +45,6 @@ from rich.text import Text
 
 from impact_rig.names import one_line, visible
 from impact_rig.system.files import plain
-
-__all__ = ["Console", "Counted", "Steps", "TextTable", "Words", "figure", "tell_json", "tell_program", "tell_results"]
 
 LONGEST_HEADING = 11  # longest heading, in characters, above numbers that stays in one line
 LONGEST_WORD = 12  # longest word, in characters, in a cell that is not split
@@ -175,6 +174,11 @@ class Counted(Progress):
         """Show the text `end` instead of the state, and end the display."""
         self.update(self.task_ids[0], state=self.end)
         super().stop()
+
+
+def counted(words: Iterable[bytes]) -> str:
+    """Return how often each of some words occurs, as in `2 silence, 1 spikes`, in alphabetical order."""
+    return ", ".join(f"{count} {word.decode()}" for word, count in sorted(Counter(words).items()))
 
 
 def tell_json(content: object) -> None:

@@ -168,20 +168,20 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
     """Prepare a directory for results and yield the return value of `prepare`.
 
-    If the block fails before it has added a file, a newly created directory is removed: it would look like a result,
-    and would block the next attempt.
+    If `prepare` fails, or the block before it has added a file, a directory that did not exist before is removed: it
+    would look like a result, and would block the next attempt.
 
     Args:
         directory: the directory that `prepare` creates.
         prepare: function that creates the directory and its initial files.
     """
-    is_new, prepared = not directory.exists(), set[Path]()
+    is_new, prepared = not directory.exists(), None
     try:
         found = prepare()
-        prepared = set(directory.rglob("*")) if is_new else prepared
+        prepared = set(directory.rglob("*")) if is_new else None
         yield found
     except BaseException:
-        if is_new and prepared.issuperset(directory.rglob("*") if prepared else ()):
+        if is_new and (prepared is None or prepared.issuperset(directory.rglob("*"))):
             shutil.rmtree(directory, ignore_errors=True)
         raise
 
@@ -313,7 +313,6 @@ def _put(partial: Path, path: Path) -> None:
 
 
 LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders
-_NOT_PRIVATE = "it must belong to you and be closed to other users: delete it, or set its mode to 700"
 """Candidates for the parent of the directory of locks; the first usable one is taken.
 
 No environment variable decides, because all programs of a user on one machine must find the same locks.
@@ -400,7 +399,7 @@ def lock_directory() -> Path:
     No other user can open its files, so no other user can hold a lock or create a link there.
 
     Raises:
-        OSError: no candidate can be used; the message names the last one and the reason.
+        OSError: no candidate of `LOCK_PARENTS` can be used; file name and reason of the error are those of the last.
     """
     problem = OSError(errno.ENOENT, os.strerror(errno.ENOENT), str(LOCK_PARENTS))
     for parent in LOCK_PARENTS:
@@ -411,8 +410,11 @@ def lock_directory() -> Path:
             status = directory.lstat()
             if not stat.S_ISDIR(status.st_mode):
                 raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(directory))
-            if status.st_uid != os.geteuid() or status.st_mode & 0o077:
-                raise PermissionError(errno.EPERM, _NOT_PRIVATE, str(directory))
+            if status.st_uid != os.geteuid():
+                raise PermissionError(errno.EPERM, "it belongs to another user, who must delete it", str(directory))
+            if status.st_mode & 0o077:
+                open_to_others = "other users may open it: delete it, or set its mode to 700"
+                raise PermissionError(errno.EPERM, open_to_others, str(directory))
             if not os.access(directory, os.W_OK | os.X_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(directory))
         except OSError as error:

@@ -62,10 +62,12 @@ class Golden:
         Args:
             rig: rig that the test has run.
             topics: topics to compare, which carry tables.
-            tolerances: largest absolute difference by column; all other columns must agree bit for bit.
+            tolerances: largest absolute difference by column, which each of the topics must have; all other columns
+                must agree bit for bit.
 
         Raises:
             AssertionError: the first difference, or that there is no golden run yet.
+            ConfigError: the rig keeps no tables of a topic, or a topic lacks a column of `tolerances`.
         """
         where = self.directory / "run"
         if self._update:
@@ -90,10 +92,10 @@ class Golden:
         Args:
             found: the numbers by name.
             rel: part of a golden value by which a number may differ from it, in addition to `abs`.
-            abs: difference that is allowed for all numbers.
+            abs: difference that is allowed for all numbers; NaN equals NaN.
 
         Raises:
-            AssertionError: all differences, or that there are no golden values yet.
+            AssertionError: all differences, names that only one side has among them; or there are no golden values yet.
         """
         where = self.directory / "values.json"
         numbers = {name: float(value) for name, value in found.items()}
@@ -148,7 +150,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             if len(bad):
                 i = int(bad[0])
                 return (
-                    f"{name} in row {i} of the table at {one.stamp_ns / NS_PER_S:.9f} s: "
+                    f"{name} in row {i} (from 0) of the table at {one.stamp_ns / NS_PER_S:.9f} s: "
                     f"{quoted(one.rows[name][i])}, golden {quoted(other.rows[name][i])}"
                 )
     return "" if len(got) == len(right) else f"{len(got)} tables, golden {len(right)}"

@@ -51,13 +51,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options `--rig-runs` and `--rig-update-golden` and the ini setting `rig_runs` to pytest."""
     group = parser.getgroup("impact_rig", "virtual test rig")
     group.addoption(
-        "--rig-runs", metavar="DIR", help=f"directory for the runs of failed tests (default: {DEFAULT_DIRECTORY})"
+        "--rig-runs", metavar="DIR", help="directory for the runs of failed tests (default: the ini setting rig_runs)"
     )
     group.addoption(
-        "--rig-update-golden", action="store_true", help="replace golden data by the results instead of comparing"
+        "--rig-update-golden",
+        action="store_true",
+        help="replace the golden data of the tests that run by their results, instead of comparing",
     )
     parser.addini(
-        "rig_runs", "directory for the runs of failed tests, relative to the rootdir", default=DEFAULT_DIRECTORY
+        "rig_runs",
+        f"directory for the runs of failed tests, relative to the rootdir (default: {DEFAULT_DIRECTORY})",
+        default=DEFAULT_DIRECTORY,
     )
 
 

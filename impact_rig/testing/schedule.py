@@ -198,7 +198,8 @@ class LocalRigWithNodes(LocalRig):
         return hosted.node
 
     def listen(self, topic: str) -> Collector:
-        """Return a collector of all messages that hosted nodes publish on a topic from now on."""
+        """Return the collector of all messages that hosted nodes publish on a topic after the first such call."""
+        topic = topic.removeprefix("/")
         if topic not in self._collectors:
             self._collectors[topic] = Collector(topics.Topic(topic, "", topics.Qos.DATA, "", "", ()))
         return self._collectors[topic]
@@ -257,7 +258,8 @@ class LocalRigWithNodes(LocalRig):
     def hold(self, source: str, blocks: int) -> None:
         """Run no callback for messages of the topic `source` for this many blocks; the messages wait in their queues.
 
-        `TIMERS` as source holds back the callbacks of all timers, `MESSAGES` those of all topics.
+        The name of the topic has no leading slash, as for `prefer`, `duplicate` and `drop`. `TIMERS` as source holds
+        back the callbacks of all timers, `MESSAGES` those of all topics. A full queue loses its oldest message.
         """
         self._held[source] = max(self._held.get(source, 0), self._after(blocks))
 
@@ -302,7 +304,7 @@ class LocalRigWithNodes(LocalRig):
                 self._note(hosted, f"parameter {name} = {value!r}{'' if result.successful else ': rejected'}")
 
     def call(self, service: str) -> list[Any]:
-        """Call a service of the hosted nodes with an empty request, and return the responses."""
+        """Call a service of the hosted nodes with an empty request; return one response per node that offers it."""
         found = []
         for hosted in self._hosted:
             for one in list(hosted.node.services):
@@ -366,7 +368,7 @@ class LocalRigWithNodes(LocalRig):
             for inbox in hosted.inboxes.values():
                 if inbox.topic != topic or not _match(inbox.subscription, kind, qos):
                     continue
-                if is_dropped and (inbox.is_lossy or qos.reliability == ReliabilityPolicy.BEST_EFFORT):
+                if is_dropped and inbox.is_lossy:
                     self._note(hosted, f"{topic}: dropped")
                     continue
                 for _ in range(1 + is_doubled):
@@ -385,8 +387,8 @@ class LocalRigWithNodes(LocalRig):
             for timer in hosted.node.timers:
                 if timer.clock.clock_type != ClockType.ROS_TIME:
                     raise ConfigError(
-                        f"a timer of {hosted.name} runs by {timer.clock.clock_type.name}; a schedule needs "
-                        "timers that follow the node's clock, the default of create_timer"
+                        f"a timer of {hosted.name} runs by {timer.clock.clock_type.name}; a hosted node needs timers "
+                        "that follow its clock, the default of create_timer"
                     )
             present = list(hosted.node.subscriptions)
             for gone in set(hosted.inboxes).difference(present):

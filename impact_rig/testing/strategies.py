@@ -264,7 +264,7 @@ def schedules(
     """Return a Hypothesis strategy for scenarios on a `LocalRigWithNodes`: actions on its nodes, transport and rig.
 
     Args:
-        topics: topics that the nodes under test subscribe to.
+        topics: topics that the nodes under test subscribe to, without a leading slash.
         parameters: parameters of the nodes, and their values.
         messages: topics on which the nodes receive messages of others, and the values of their field `data`.
         services: services of the nodes; they are called with an empty request.
@@ -334,7 +334,8 @@ The pipeline may also raise AssertionError earlier, while the scenario is played
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
     """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions of `check`.
 
-    The rig advances by a block after each action, and at the end until all faults are over.
+    The rig advances by a block after each action, and at the end until all faults are over: by at most `MOST_BLOCKS`,
+    and by `AFTERWARDS` more. An action that the rig rejects has no effect.
     """
     rest = list(actions)
     while rest and isinstance(rest[0], LateJoin):
@@ -361,15 +362,15 @@ def search(
 ) -> None:
     """Play scenarios until one fails; raise its error with the shortest failing scenario and how to repeat it.
 
-    Call this from a test with its fixture `virtual_rig` or `ros_rig`: the failed test then keeps the recording of the
-    shortest scenario.
+    Call this from a test with its fixture `virtual_rig`, `virtual_rig_with_nodes` or `ros_rig`: the failed test then
+    keeps the recording of the shortest scenario. The same scenarios are played each time.
 
     Args:
         make_rig: function that starts a rig with parameters: the fixture's value.
         check: function that connects the pipeline and checks it, see `Check`.
         parameters: parameters of every rig.
         among: scenarios; None means `scenarios()`.
-        examples: maximum number of scenarios played.
+        examples: maximum number of scenarios played before one fails; shortening it plays more.
     """
     last: list[RigDriver] = []
 

@@ -72,6 +72,14 @@ def test_a_run_that_is_too_short_for_a_measurement_is_reported(
     check(tmp_path / "run")
 
 
+def test_a_rig_at_rest_has_no_dt_however_long_it_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--current", "0", "--seconds", "10", *RATE, "--output", str(tmp_path / "run")]
+    assert main(["record", *words]) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "silence; silence: Neither base nor structure moves measurably." in printed
+    assert "longer" not in printed
+
+
 def test_a_trip_ends_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["record", "--current", "12", *RATE, "--output", str(tmp_path / "run")]) == 1
     assert "ended early: the rig tripped: over_travel" in " ".join(capsys.readouterr().out.split())

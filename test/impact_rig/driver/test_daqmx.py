@@ -47,6 +47,7 @@ from nidaqmx.error_codes import DAQmxErrors
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 from nitypes.waveform import AnalogWaveform
 
+from impact_rig.cli import main
 from impact_rig.driver import LocalRig
 from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
 from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
@@ -465,6 +466,11 @@ def test_the_number_of_tasks_is_bounded() -> None:
     with pytest.raises(DaqmxError, match="more than 64 tasks: clear some"):
         board.create("")
     board.close()
+
+
+def test_a_running_rig_keeps_its_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["daqmx", "--config", "config/nominal.yaml", "--namespace", "/rig"]) == 1
+    assert "--config describes a rig to simulate: use it without --namespace" in capsys.readouterr().err
 
 
 def test_a_port_in_use_is_reported_in_one_line() -> None:

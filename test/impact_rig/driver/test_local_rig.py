@@ -210,7 +210,9 @@ def test_the_comparison_with_a_golden_run_names_the_first_difference(tmp_path: P
     golden = Golden(tmp_path / "test_x", update=False)
     golden.run(measure(), topics=("daq/scan", "truth/impacts"))
     other = measure(**{"daq.seed": 2})
-    with pytest.raises(AssertionError, match=r"daq/scan differs .*: .* in row \d+ of the table at 0\.0\d+ s: .*golden"):
+    with pytest.raises(
+        AssertionError, match=r"daq/scan differs .*: .* in row \d+ \(from 0\) of the table at 0\.0\d+ s: .*golden"
+    ):
         golden.run(other)
     noise = dict.fromkeys(CHANNELS, 1e3)
     golden.run(other, tolerances=noise)

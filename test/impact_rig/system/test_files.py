@@ -210,6 +210,21 @@ def test_state_is_stored_in_the_folder_of_the_user_or_a_temporary_one(
     assert found.is_dir()
 
 
+@pytest.mark.parametrize("initial", [[], ["plan"]])
+def test_a_failed_attempt_leaves_no_directory_unless_it_has_results(tmp_path: Path, initial: list[str]) -> None:
+    directory = tmp_path / "results"
+
+    def prepare() -> None:
+        directory.mkdir(exist_ok=True)
+        for name in initial:
+            (directory / name).touch()
+
+    for results in ([], ["result"]):
+        with pytest.raises(FileNotFoundError), files.results_in(directory, prepare):
+            _ = [(directory / name).touch() for name in results], (tmp_path / "missing").stat()
+        assert sorted(path.name for path in directory.glob("*")) == initial * bool(results) + results
+
+
 def test_a_number_is_appended_to_an_existing_path(tmp_path: Path) -> None:
     """Two commands without --output that start within one second must not use one folder."""
     taken = []

@@ -126,7 +126,7 @@ def test_a_directory_that_another_user_could_change_is_skipped(tmp_path, monkeyp
     monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents))
     assert files.lock_directory().parent == parents[3]
     monkeypatch.setattr(files, "LOCK_PARENTS", tuple(parents[:1]))
-    with pytest.raises(PermissionError, match="must belong to you and be closed to other users"):
+    with pytest.raises(PermissionError, match="other users may open it: delete it, or set its mode to 700"):
         files.lock_directory()
 
 
