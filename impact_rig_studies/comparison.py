@@ -98,7 +98,7 @@ class ComparedPoint:
     def off(self, column: str) -> float:
         """Return measured minus model of the column `transmissibility` or `phase`, in standard uncertainties.
 
-        The uncertainty is that of the difference; NaN if the model did not settle.
+        The uncertainty is that of the difference. The result is NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan
@@ -128,7 +128,7 @@ class Comparison:
 
     @property
     def residual(self) -> Real:
-        """Measured motion of the structure minus the model's, both about their means [m]."""
+        """Measured motion of the structure minus the model's, both about their means, at the excerpt's scans [m]."""
         measured, model = (samples_of(rows, "laser") for rows in (self.excerpt.rows, self.model))
         return np.asarray((measured - measured.mean()) - (model - model.mean()))
 
@@ -146,13 +146,14 @@ def compare(
     Args:
         run: an open run, recorded or imported.
         known: the model; None means the configuration stored in the run, or the default rig.
-        driven_by: key of `DRIVES`; None means the current if it was measured.
+        driven_by: key of `DRIVES`; None means the current if it was measured, else the base.
         fits: whether to search for the constants that fit best.
-        on_step: receives a description of each step.
+        on_step: receives a description of each step before it begins.
 
     Raises:
         ConfigError: the model rejects the values, or the drive was not measured.
-        RecordingError: nothing settled.
+        RecordingError: no measurement settled, or a reading is not finite.
+        BudgetError: the run has more than `SCANS` scans.
         SimulationError: the model's motion cannot be resolved.
     """
     info = calibration_rows(run)
@@ -160,7 +161,9 @@ def compare(
     chosen = driven_by or ("current" if calibration.present[CURRENT] else "base")
     kind, channel = DRIVES[chosen]
     if not calibration.present[channel]:
-        raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model")
+        other = "base" if chosen == "current" else "current"
+        hint = f"; use --drive {other}" if calibration.present[DRIVES[other][1]] else ""
+        raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model{hint}")
     if known is None:
         attached = run.attachments().get(CONFIGURATION)
         known = RigConfig() if attached is None else parse(attached)
@@ -168,7 +171,7 @@ def compare(
     found = list(reanalysis.analyze(run))
     measured = reanalysis.newest_settled(reanalysis.measurements(iter(found)))
     if not len(measured):
-        raise RecordingError(f"{run.path}: nothing settled, so there is nothing to compare")
+        raise RecordingError(f"{run.path}: no measurement of DT settled, so there is nothing to compare")
     scans = _ModelledScans(run, calibration)
 
     def modelled(gain: float) -> NDArray[np.void]:
@@ -237,8 +240,9 @@ class _ModelledScans:
         self.true = np.zeros(len(measured), SCAN)
         for name in CHANNELS:
             self.true[name] = samples_of(measured, name)
-        if not all(np.all(np.isfinite(self.true[name])) for name in CHANNELS):
-            raise RecordingError(f"{run.path}: a scan is not finite, and cannot drive a model")
+        wrong = next((name for name in CHANNELS if not np.all(np.isfinite(self.true[name]))), None)
+        if wrong is not None:
+            raise RecordingError(f"{run.path}: a reading of {wrong} is not finite, so the run cannot be compared")
         self.stretches = list(self._stretches(run))
         for stretch in self.stretches:
             for channel in (LASER, BASE, CURRENT):
@@ -290,16 +294,17 @@ class _ModelledScans:
 
 
 def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
-    """Return the quantity that a channel measured: readings corrected for the lag and skew of the sensor.
+    """Return the quantity that a channel measured: readings corrected for the lag and skew of the sensor, shape (n,).
 
-    Noise above the band (`BAND_HZ`) is removed. Velocities and accelerations are integrated to displacements.
+    Noise above the band (`BAND_HZ`, `BAND_SHARE`) is removed. Velocities and accelerations are integrated to
+    displacements [m].
 
     Args:
         values: contiguous readings, shape (n,).
         calibration: calibration of the instruments.
-        channel: one of `scans.CHANNELS`.
-        drive_hz: frequency of the drive; readings are integrated above a fraction of it, as lower frequencies are
-            drift.
+        channel: index of the channel in `scans.CHANNELS`.
+        drive_hz: frequency of the drive, 0 if unknown; readings are integrated above a fraction of it, as lower
+            frequencies are drift.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)

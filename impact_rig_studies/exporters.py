@@ -44,7 +44,7 @@ def map_points(directory: Path) -> Tables | None:
 def study_rows(directory: Path) -> Tables | None:
     """Return the tables of the dynamics studies in a directory, by kind of study; None if it contains none.
 
-    A single table can also be exported as `points`.
+    If there is only one, `points` is a second name for it.
     """
     if not dynamics.store(directory).file.exists():
         return None
@@ -78,7 +78,7 @@ def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
     """
     settled = [point for point in points if point.settled]
     if not settled:
-        raise RecordingError("no point of this campaign is settled: there is no curve to export")
+        raise RecordingError("no point of this campaign has a settled measurement, so there is no curve to export")
     one_current = len({point.current_a for point in points}) == 1
     return {
         "frequency": np.array([point.frequency_hz for point in settled]),

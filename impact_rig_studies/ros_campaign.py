@@ -51,10 +51,13 @@ def ros_runner(
 ) -> Runner:
     """Return a function that measures jobs on a rig, an analysis and a recorder running as ROS node processes.
 
+    The processes start when the first job is requested, and end after the last. Jobs with another scan rate or block
+    length get new processes.
+
     Args:
         logs: directory; the processes write their logs into its subdirectory `logs`.
         runs: directory in which every job is recorded as one run; None means no recording.
-        name: function that returns the name of a job's run.
+        name: function that returns the name of a job's run, a directory in `runs`.
         watch: callback that receives the progress of each job.
     """
 

@@ -57,15 +57,16 @@ def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> N
 
 
 def number(key: str, value: object, low: float, high: float = math.inf) -> float:
-    """Return a value that must be a number > low and <= high.
+    """Return a value that must be a finite number > low and <= high.
 
     Raises:
-        ConfigError: the value is not a number, or is out of range.
+        ConfigError: the value is not a number (true and false are none), not finite, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
     if not (abs(value) < HUGE or isinstance(value, float)) or not (math.isfinite(value) and low < value <= high):
-        raise wrong(key, f"> {low:g} and {'finite' if math.isinf(high) else f'<= {high:g}'}", value)
+        above = "" if math.isinf(low) else f"> {low:g} and "
+        raise wrong(key, f"{above}finite" if math.isinf(high) else f"{above}<= {high:g}", value)
     return float(value)
 
 
@@ -93,28 +94,34 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return the items of a value read by `values`, each of which must be one of `choices`."""
+    """Return the items of a value read by `values`, each of which must be one of `choices`.
+
+    Raises:
+        ConfigError: an item is another one, or the list is invalid.
+    """
     return tuple(word(key, item, choices) for item in values(key, value))
 
 
 def mapping(key: str, value: object) -> dict[str, object]:
-    """Return a value that must be a mapping; None counts as empty.
+    """Return a value that must be a mapping with texts as keys; None, as of a key without a value, counts as empty.
 
     Raises:
-        ConfigError: the value is not a mapping.
+        ConfigError: the value is not such a mapping.
     """
     if value is None:
         return {}
     if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
-        raise wrong(key, "a mapping", value)
+        raise wrong(key, "a mapping of names to values", value)
     return value
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the values in a list, a single value, or `{from: a, to: b, step: s}`.
+    """Return the values in a list, in a range `{from: a, to: b, step: s}`, or a single value as a list of one.
+
+    A range begins with `from`, and includes `to` if that is a whole number of steps away.
 
     Raises:
-        ConfigError: the list is empty or has duplicates, or the range is invalid.
+        ConfigError: there are none or more than `MAX_VALUES`, one occurs twice, or the range is invalid.
     """
     items: list[object]
     if isinstance(value, dict):
@@ -136,7 +143,11 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return the items of a value read by `values`, each of which must be a number in (low, high]."""
+    """Return the items of a value read by `values`, each of which must be a number > low and <= high.
+
+    Raises:
+        ConfigError: an item is not such a number, or the list or range is invalid.
+    """
     return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
 
 
@@ -153,7 +164,13 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return the items of a value read by `values`; the rig's configuration checks the ranges of these."""
+    """Return the items of a value read by `values`: numbers, texts, true or false.
+
+    Whether the rig's configuration allows them is not checked here.
+
+    Raises:
+        ConfigError: an item is of another type, or the list or range is invalid.
+    """
     found: list[Value] = []
     for i, item in enumerate(values(key, value)):
         if not isinstance(item, (bool, int, float, str)):
@@ -165,10 +182,11 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
     """Return the rig that the content `top` of a study's file in `folder` defines by its keys `config` and `set`.
 
-    `refuse` receives key and dotted name of each value that is set, and raises for one that must not be.
+    `config` names a configuration file, relative to `folder`; without it, the rig is the default one. `refuse` receives
+    key and dotted name of each value that is set, and raises for one that must not be.
 
     Raises:
-        ConfigError: a value is wrong, or `refuse` rejects one.
+        ConfigError: a file cannot be read, a value is wrong, or `refuse` rejects one.
     """
     file = top.get("config")
     if file is not None and not isinstance(file, str):

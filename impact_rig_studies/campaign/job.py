@@ -74,7 +74,9 @@ class Job:
     traces: bool = False  # whether to keep scans and truth after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the configuration of the rig, with a block of scans for each update of the operator.
+        """Return the configuration of the rig, with blocks of a quarter of a second (`UPDATES_PER_S`), or shorter.
+
+        The operator reads the measurements after each block, which has at most `MAX_BLOCK_SCANS` scans.
 
         Raises:
             ConfigError: a value is wrong.
@@ -148,7 +150,9 @@ TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
 
 
 def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = ignore) -> Outcome:
-    """Measure a job; an error in it becomes its outcome, not an exception.
+    """Measure a job; an error of the rig or the sweep becomes the `failure` of its outcome, not an exception.
+
+    The rig is not closed.
 
     Args:
         job: job to measure.
@@ -156,6 +160,7 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
         on_update: receives the sweep when the drive is set, and after every measurement.
 
     Raises:
+        ConfigError: the job has no valid plan.
         GoneError: a process of the rig died, which proves nothing about the job.
     """
     started = time.perf_counter()
@@ -194,7 +199,10 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Return rows of `daq/scan` and `truth/scan` at the same times as columns; `time` counts from the first [s]."""
+    """Return rows of `daq/scan` and `truth/scan` at the same times as columns in single precision, by name.
+
+    The column `time`, in double precision, counts from the first row [s].
+    """
     found: dict[str, NDArray[np.generic]] = {"time": np.arange(len(scans)) / rate_hz}
     for rows, names in ((scans, channels_of(scans)), (truth, TRUE_COLUMNS)):
         found.update({name: rows[name].astype(np.float32) for name in names})

@@ -66,7 +66,9 @@ class Reductions:
 
     @classmethod
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
-        """Compute the reductions of measurements; all are NaN without a measurement without the sphere.
+        """Compute the reductions of measurements.
+
+        Without a measurement without the sphere there are none, and `dt_no_sphere` is NaN.
 
         Args:
             rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE` means without the sphere.
@@ -84,7 +86,7 @@ class Reductions:
         )
 
     def percent(self) -> dict[float, float]:
-        """Return 100 (1 − DT / DT without sphere) by gap."""
+        """Return the reductions 100 (1 − DT / DT without sphere) [%], by gap [m]."""
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def errors(self) -> dict[float, float]:
@@ -102,6 +104,6 @@ class Reductions:
         return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
 
     def grows_with_gap(self) -> bool:
-        """Return whether every wider gap has a larger reduction than the one before."""
+        """Return whether every gap has a larger reduction than the next smaller one; also true for one gap or none."""
         ordered = [value for _, value in sorted(self.percent().items())]
         return all(a < b for a, b in itertools.pairwise(ordered))

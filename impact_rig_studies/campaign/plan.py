@@ -127,7 +127,7 @@ class Campaign:
         ]
 
     def only(self, names: tuple[str, ...]) -> Campaign:
-        """Return the campaign restricted to these studies; the reference rig stays the same.
+        """Return the campaign restricted to these studies, in the order of its file; the reference rig stays the same.
 
         Raises:
             ConfigError: there is no study of that name.
@@ -176,7 +176,7 @@ def load_campaign(
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
-        BudgetError: the campaign has too many points.
+        BudgetError: the campaign has more than `budget.POINTS` points, including repetitions.
     """
     file = Path(path)
 

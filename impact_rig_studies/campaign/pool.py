@@ -50,7 +50,7 @@ CLOSING_S = 2.0  # time limit for closing a pool whose workers were killed
 
 
 class WorkerDiedError(GoneError):
-    """Error that a worker process was killed from outside, for example for lack of memory."""
+    """Error that a worker process died, for example because the system killed it for lack of memory."""
 
 
 def in_parallel(
@@ -58,8 +58,9 @@ def in_parallel(
 ) -> Generator[tuple[J, R], None, None]:
     """Yield every job with the result of `work` for it, in the order of completion.
 
-    If the caller stops iterating (Ctrl-C), only the running jobs are lost. Workers end with this process, for whatever
-    reason it ends.
+    A single worker or job runs in this process. An exception of `work` is raised here, and the other jobs end. If the
+    caller stops iterating (Ctrl-C), only the running jobs are lost. Workers end with this process, for whatever reason
+    it ends.
 
     Args:
         work: a function of a module; it and the jobs are sent to the workers.
@@ -67,7 +68,7 @@ def in_parallel(
         workers: number of processes; None means one per usable core.
 
     Raises:
-        WorkerDiedError: a worker was killed.
+        WorkerDiedError: a worker died.
     """
     count = min(workers or len(os.sched_getaffinity(0)), len(jobs))
     if count <= 1:
@@ -94,8 +95,8 @@ def in_parallel(
                 yield job, future.result()
     except BrokenProcessPool as error:
         raise WorkerDiedError(
-            "a worker process was killed from outside, for example for lack of memory; run the command again to "
-            "measure what is missing"
+            "a worker process died, for example because the system killed it for lack of memory; run the command again "
+            "to measure what is missing, with fewer --workers if memory is short"
         ) from error
     finally:
         with defer_signals():

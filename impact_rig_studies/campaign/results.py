@@ -72,27 +72,27 @@ class Point:
 
     @property
     def u_dt(self) -> float:
-        """Standard uncertainty of `dt`."""
+        """Standard uncertainty of `dt`; NaN without a measurement."""
         return combined(self.rows) if len(self.rows) else NAN
 
     @property
     def phase_rad(self) -> float:
-        """Phase of x_1 relative to x_b in the first measurement, since a mean of angles may be meaningless."""
+        """Phase [rad] of x_1 relative to x_b in the first measurement, since a mean of angles may be meaningless."""
         return float(self.rows["phase"][0]) if len(self.rows) else NAN
 
     @property
     def base_m(self) -> float:
-        """Amplitude of the inferior base [m]."""
+        """Amplitude of the inferior base [m], mean of the point's measurements; NaN without one."""
         return self._mean("base_amplitude")
 
     @property
     def laser_m(self) -> float:
-        """Amplitude of the superior base [m]."""
+        """Amplitude of the superior base [m], mean of the point's measurements; NaN without one."""
         return self._mean("laser_amplitude")
 
     @property
     def impacts_per_cycle(self) -> float:
-        """Impacts per drive cycle, from the accelerometer."""
+        """Impacts per drive cycle that the accelerometer shows, mean of the measurements; NaN without one."""
         return self._mean("impacts_per_cycle")
 
     @property
@@ -122,7 +122,10 @@ class Point:
 
 
 def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
-    """Return the points of one job in the order of measurement, those without a measurement with their failure."""
+    """Return one point for each frequency that a job visits, in the order of measurement.
+
+    A job up and down visits each frequency twice. Points without a settled measurement have their `failure`.
+    """
     job = planned.job
     visits = job.plan().points()
     once = len(job.frequencies_hz)
@@ -241,9 +244,10 @@ def write_summary(
     seed: int,
     more: Mapping[str, object],
 ) -> None:
-    """Write `summary.json`, the figures of a campaign for other programs; missing numbers are null.
+    """Write `summary.json`, the figures of a campaign or demo for other programs; missing numbers are null.
 
-    `lost_blocks` never reached the analysis; `wall_s` is the time by this machine's clock, `simulated_s` by the rig's.
+    `lost_blocks` never reached the analysis. `wall_s` is the duration by this machine's clock, `simulated_s` by the
+    rig's. `more` are further entries of the file; those of the same name take precedence.
     """
     content = {
         "version": impact_rig.__version__,

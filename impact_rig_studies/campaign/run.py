@@ -154,7 +154,13 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:
-    """Return a campaign with all results stored in its directory; jobs without a stored result have no points."""
+    """Return a campaign with all results stored in its directory, also those of other code.
+
+    Jobs without a stored result have no points.
+
+    Raises:
+        DamagedPointError: a stored result is damaged.
+    """
     planned = campaign.planned()
     store = Store(directory)
     outcomes = {job.key: outcome for job in unique_jobs(planned) if (outcome := store.get(job, as_it_is=True))}
@@ -166,7 +172,8 @@ def open_finished(directory: str | Path) -> Finished:
     """Return the campaign in a directory, with its stored results.
 
     Raises:
-        ConfigError: `directory` is not the directory of a campaign.
+        ConfigError: `directory` is not the directory of a campaign, or its campaign file is invalid.
+        DamagedPointError: a stored result is damaged.
     """
     directory = Path(directory)
     if not (directory / CAMPAIGN_FILE).exists() or not (directory / FOLDER).is_dir():

@@ -190,7 +190,7 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)
     near = curve[max(top - 1, 0) : top + 2]
     if len(near) < 3 or near[2][0] - near[0][0] > 2.0 * PEAK_STEP_HZ:
-        raise MissingError(f"a grid of 0.01 Hz around the peak, {case_of(gap_m)}")
+        raise MissingError(f"settled points 0.01 Hz apart on both sides of the highest DT, {case_of(gap_m)}")
     (left, a), (middle, b), (right, c) = ((frequency, point.dt) for frequency, point in near)
     rise, fall = (b - a) / (middle - left), (c - b) / (right - middle)
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))
@@ -255,8 +255,8 @@ class Variation:
 def variations(points: Sequence[Point]) -> list[Variation]:
     """Return the verdicts for every rig of a campaign on which a statement can be judged, the reference rig first.
 
-    The list is empty if only the reference rig can be judged. Only points with a reset rig and a current of the
-    reference rig count.
+    The list is empty if fewer than two rigs can be judged. Only points with a reset rig and a current of the reference
+    rig count.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

@@ -77,8 +77,8 @@ class Store:
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
         """Return the stored outcome of a job, or None if the job must be measured.
 
-        This is so if there is no result, the file is damaged, the result was measured with other code, or it lacks a
-        requested trace. With `as_it_is`, used to show results, code and trace do not matter.
+        This is so if there is no result, the file is damaged (noted in `damaged`), the result was measured with other
+        code, or it lacks a requested trace. With `as_it_is`, used to show results, code and trace do not matter.
 
         Raises:
             DamagedPointError: the file is damaged, and `as_it_is` is set.
@@ -89,7 +89,7 @@ class Store:
             return None
         except DamagedPointError as error:
             if as_it_is:
-                raise
+                raise DamagedPointError(f"{error}; measure or import the campaign again to replace it") from error
             self.damaged.append(str(error))
             return None
         incomplete = job.traces and not (outcome.trace or outcome.failure)
@@ -262,7 +262,7 @@ class _Checked:
 
 
 def shortened(value: object) -> str:
-    """Return a value of a JSON file for an error message, shortened."""
+    """Return a value of a JSON file as JSON for an error message; of a long one the first `SHOWN` characters."""
     text = json.dumps(value, default=str)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
 
@@ -308,7 +308,10 @@ DECIDING = (
 
 @functools.cache
 def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
-    """Return the version and 12 hexadecimal digits of the sources of these packages."""
+    """Return the version of the package, and a digest of the sources of these packages: 12 hexadecimal digits.
+
+    Names of packages and modules are relative to `impact_rig` and to `impact_rig_studies`.
+    """
     digest = hashlib.sha256()
     for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):
         for path in sorted(package.rglob("*.py")):

@@ -57,7 +57,7 @@ def to_xarray(
     grid: Sequence[str] = (),
     coordinates: Sequence[str] = (),
 ) -> Any:
-    """Return a table as an `xarray.Dataset`.
+    """Return a table as an `xarray.Dataset`; grid points without a row are NaN, or empty in columns of texts.
 
     Args:
         names: names of the columns.

@@ -120,8 +120,7 @@ class TaskStore(Generic[T]):
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(
-                f"{self.directory} is not a {self.what}'s directory: create one with `impact-rig {self.what} FILE "
-                "--output NEW`"
+                f"{self.directory} holds no results of `impact-rig {self.what}`, whose --help shows how to create them"
             )
         return load_config(self.directory / CONFIGURATION_FILE)
 
@@ -130,7 +129,10 @@ class TaskStore(Generic[T]):
         return fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
-        """Return the rows of a task, or None if there are none, from other code, or damaged: it must be measured."""
+        """Return the stored rows of a task; None if it must be measured.
+
+        This is so if there are none, or if they are damaged or were measured with other code.
+        """
         try:
             found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
             if found["code"] != self.code() or found["key"] != task.key:
@@ -165,6 +167,8 @@ def _number(value: object) -> str | float:
 
 def refuse_other_rig(directory: Path, rig: RigConfig) -> None:
     """Reject a directory with results of another rig than `rig`, because those of `rig` would replace them.
+
+    A directory without a valid `configuration.yaml` is accepted.
 
     Raises:
         RecordingError: the configuration differs; the message names the first difference.
@@ -222,8 +226,8 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
     `what` names the kind of file in messages.
 
     Raises:
-        ConfigError: the file cannot be read or is wrong; the message ends with the file.
-        BudgetError: the study would take too long.
+        ConfigError: the file cannot be read or is wrong; the message ends with the path of the file.
+        BudgetError: `read` rejects the study as too large.
     """
     try:
         text = str(files.read_bytes(path, MAX_FILE_BYTES), "utf-8")

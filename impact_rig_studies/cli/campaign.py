@@ -47,7 +47,8 @@ SHOWN = 20  # largest number of failing points that are printed; the CSV contain
 def run_campaign(arguments: argparse.Namespace) -> int:
     """Measure the missing points of a campaign file, write and print all results, and return the exit code.
 
-    With `--check` the code is 1 if a point failed, a statement failed, or the reductions are too far from the paper.
+    The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions are too far from the
+    paper; else 0.
     """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
@@ -72,7 +73,8 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     old = sum(job.key in done.outcomes and store.get(job) is None for job in run.unique_jobs(campaign.planned()))
     if old:
         console.print(
-            f"{old} runs of other studies were measured with other code; without --only, they are measured again",
+            f"{old} runs of other studies were measured with other code or lack a trace; without --only, they are "
+            "measured again",
             style="yellow",
         )
     run.write_results(done, time.monotonic() - started)

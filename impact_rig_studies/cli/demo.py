@@ -208,10 +208,8 @@ def _scanned_s(run: RunInfo) -> float:
 
 def _new_directory(wanted: Path | None) -> Path:
     directory = run_directory(wanted, "demo")
-    try:
+    with files.translate_errors(f"cannot create {directory}"):
         files.make_folder(directory)
-    except OSError as error:
-        raise ImpactRigError(f"cannot create {directory}: {error.strerror}") from error
     return directory
 
 

@@ -62,7 +62,11 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
 def run_identify(arguments: argparse.Namespace) -> int:
-    """Fit constants to a campaign, whose directory receives them, or to the paper; print them, and return 0."""
+    """Fit constants to a campaign or to the paper's reductions, print them, and return the exit code, 0.
+
+    The results of a campaign are written into its directory. The configuration with the constants is written only if
+    the data determine all of them and the model explains the data.
+    """
     console = Console(quiet=arguments.json)
     if arguments.paper:
         base = load_config(arguments.config) if arguments.config else RigConfig()
@@ -83,12 +87,15 @@ def run_identify(arguments: argparse.Namespace) -> int:
     start = logarithms(base) if done.imported else START
     found = identify(measured, base, start, lambda what: console.print(f"{what} ..."))
     print_identified(console, found)
-    if not found.consistent:
-        console.print(f"no {CONFIGURATION_FILE} is written, because the constants do not explain the data", style="red")
+    why = "the constants do not explain the data" if not found.consistent else ""
+    if not why and not all(map(found.information.determined, NAMES)):
+        why = "the data do not determine all constants"
+    if why:
+        console.print(f"no {CONFIGURATION_FILE} is written, because {why}", style="red")
     content = identified_content(found)
     text = json.dumps(content, indent=2, ensure_ascii=False)
     files.write_text(arguments.directory / JSON_FILE, f"{text}\n")
-    if found.consistent and all(map(found.information.determined, NAMES)):
+    if not why:
         files.write_text(arguments.directory / CONFIGURATION_FILE, dump(found.config))
     if arguments.json:
         tell_json(content)
@@ -116,7 +123,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     if decay is not None:
         if decay.status is not Status.OK:
             why = REASONS.get(decay.status, decay.status.value)
-            raise ImpactRigError(f"the free decay cannot be measured: {why}")
+            raise ImpactRigError(f"the free decay cannot be measured: {why}; leave it out with --without decay")
         console.print(
             f"free decay: f_n {plus_minus(decay.natural_frequency_hz, decay.u_natural_frequency_hz)} Hz, "
             f"ζ {plus_minus(decay.damping_ratio, decay.u_damping_ratio)} (2u)"

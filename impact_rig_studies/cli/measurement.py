@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def run_import(arguments: argparse.Namespace) -> int:
     """Import files as runs, or as one campaign, print how, and return the exit code, 0.
 
-    If a file is rejected, the error is raised, and nothing is written.
+    If a file is rejected, its error is raised, and nothing is written, not even the files before it.
     """
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
@@ -99,10 +99,7 @@ def run_import(arguments: argparse.Namespace) -> int:
     elif arguments.dry_run:
         console.print("nothing was written (--dry-run)", style="yellow")
     else:
-        missing = sorted({"laser", "base"} - found.mapping.channels.keys())
-        if missing:
-            console.print(f"no DT: {missing[0]} is not assigned (--channel {missing[0]}=SIGNAL)", style="yellow")
-        elif not arguments.campaign:
+        if not arguments.campaign and not _missing(found):
             console.print(f"for DT with its uncertainty: impact-rig analyze {directories[-1]}")
         tell_program(arguments.output.resolve())
     return 0
@@ -119,7 +116,10 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
             text = files.read_bytes(arguments.mapping, MAPPING_CHARACTERS).decode()
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"{arguments.mapping} cannot be read: {error}") from error
-        mapping = refined(mapping, text)
+        try:
+            mapping = refined(mapping, text)
+        except ConfigError as error:
+            raise ConfigError(f"{error} ({arguments.mapping})") from error
     channels = dict(mapping.channels)
     for words in arguments.channel:
         for text in re.split(rf" (?=(?:{'|'.join(UNITS)})=)", " ".join(words)):
@@ -150,6 +150,11 @@ def _print_source(console: Console, source: ImportedSignals) -> None:
 def _print_left_out(console: Console, source: ImportedSignals) -> None:
     for name, why in source.left_out.items():
         console.print(f"left out: {name}, {why}")
+
+
+def _missing(found: ImportedRun) -> list[str]:
+    """Return the channels that DT needs and to which no signal is assigned."""
+    return sorted({"laser", "base"} - found.mapping.channels.keys())
 
 
 def _print(console: Console, found: ImportedRun) -> None:
@@ -194,6 +199,8 @@ def _print(console: Console, found: ImportedRun) -> None:
     labels = [label for label in map(parse_label, found.labels) if label]
     for label in labels:
         console.print(f"label from {(label.stamp_ns - found.start_ns) / 1e9:.6g} s on: {case_of(label.gap_m)}")
+    for name in _missing(found):
+        console.print(f"no DT: {name} is not assigned (--channel {name}=SIGNAL)", style="yellow")
     if not labels:
         console.print("gap: unknown (--gap 6mm, or --gap none without the sphere)", style="yellow")
     for text in found.labels:

@@ -54,7 +54,7 @@ def run_map(arguments: argparse.Namespace) -> int:
     runner = tasks.runner(measure_line, address, arguments.workers)
     plan = load_map(file, cluster_threads(address) if address else arguments.workers)
     if arguments.exponent and {UP, DOWN} & set(plan.layers):
-        raise ConfigError("--exponent needs motions that start from rest: direction must be reset")
+        raise ConfigError(f"--exponent needs motions that start from rest: `direction` in {file} must be reset")
     store = run.store(directory)
     console = Console(quiet=arguments.json)
     with files.results_in(directory, lambda: store.prepare(plan.text, plan.base)):

@@ -55,7 +55,8 @@ def add_demo(commands: Commands) -> None:
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
             ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
         ],
-        "The last line is the directory of the results. Exit code 0: every reduction is within 3 points of the paper "
+        "--output must be new or empty. The last line is the directory of the results. Exit code 0: every reduction is "
+        "within 3 points of the paper "
         "and grows with the gap, DT without sphere is as in theory, and no block was lost; 1: a check failed, which is "
         "named.",
     )
@@ -79,7 +80,9 @@ def add_compare(commands: Commands) -> None:
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
             ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
         ],
-        "Works with recorded and imported runs: docs/tutorials/own_measurement.md.",
+        "Works with recorded and imported runs: docs/tutorials/own_measurement.md. Exit code 0: compared, whether they "
+        "agree or not; 1: not possible, for example because no measurement of the displacement transmissibility DT "
+        "settled.",
     )
     add_json(parser)
     add_run(parser)
@@ -88,7 +91,7 @@ def add_compare(commands: Commands) -> None:
         "--drive",
         choices=("current", "base"),
         help="measured quantity that drives the model: coil current, or motion of the inferior base (default: current "
-        "if it was measured)",
+        "if it was measured, else base)",
     )
     add_figures(parser, "directory for a figure of model and measurement (default: no figure)")
     parser.add_argument(
@@ -120,7 +123,8 @@ def add_import(commands: Commands) -> None:
         "Rattlesnake netCDF4 and ROS bags. Each file becomes one run: in DIR itself, in DIR/NAME if there are several "
         "files, or in DIR/runs/NAME with --campaign. DT, the displacement transmissibility, needs laser (motion of the "
         "structure) and base (motion below the structure), each as displacement, velocity or acceleration; without "
-        "them the run has no DT: docs/tutorials/own_measurement.md.",
+        "them the run has no DT: docs/tutorials/own_measurement.md. Exit code 1: a file was rejected, and nothing was "
+        "written.",
     )
     add_json(parser)
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="measurement in one of the formats below")
@@ -129,7 +133,7 @@ def add_import(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="new directory that receives the run, several runs, or the campaign",
+        help="new or empty directory that receives the run, several runs, or the campaign",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
@@ -138,7 +142,8 @@ def add_import(commands: Commands) -> None:
         "--mapping",
         type=Path,
         metavar="YAML",
-        help="YAML file that assigns the signals to channels, with units and calibration",
+        help="YAML file that assigns the signals to channels, with units and calibration (default: guessed from names "
+        "and units); other options take precedence over it",
     )
     parser.add_argument(
         "--channel",
@@ -146,39 +151,50 @@ def add_import(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="NAME=SIGNAL",
-        help="signal of the file to use as a channel, with unit and sensitivity if the file has none: laser=ai0, "
-        "laser='ai0 mm', laser='ai0 V, 500 mV/mm'; channels: laser, base, accelerometer (also detects impacts), "
-        "current",
+        help="signal of the file to use as a channel (laser, base, accelerometer or current), with unit and "
+        "sensitivity if the file has none: laser=ai0, laser='ai0 mm', laser='ai0 V, 500 mV/mm'. With laser= the "
+        "channel is left out",
     )
     parser.add_argument(
-        "--scan-rate", type=float, metavar="HZ", help="scans per second (default: by the rate or times in the file)"
+        "--scan-rate",
+        type=float,
+        metavar="HZ",
+        help="scans per second, instead of the rate or times in the file (default: those)",
     )
     parser.add_argument(
         "--resample",
         type=int,
         metavar="HZ",
-        help="scans per second for the interpolation of signals that are not uniform in time (default: none)",
+        help="scans per second at which signals that are not uniform in time, or have different times, are "
+        "interpolated; at least the rate of the file (default: such signals are rejected)",
     )
     parser.add_argument(
         "--frequency",
         type=FREQUENCY,
         metavar="HZ|SIGNAL",
-        help="drive frequency, e.g. 9.1Hz, or the name of its signal (default: from the file name, else the base)",
+        help="drive frequency, e.g. 9.1Hz, or the name of its signal. Default: the signal `frequency`, else the "
+        "frequency in the file name if the data do not contradict it, else the strongest one in the base's motion",
     )
     parser.add_argument(
         "--gap",
         type=GAP_LABEL,
         metavar="LENGTH|SIGNAL",
-        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal (default: from the file name)",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal in m (default: the signal "
+        "`gap`, else from the file name, else unknown)",
     )
     parser.add_argument(
-        "--commands", type=Path, metavar="FILE", help="table of the drive commands: time, frequency, current"
+        "--commands",
+        type=Path,
+        metavar="FILE",
+        help="table of the drive commands, with the columns time [s] or stamp_ns, frequency [Hz] and, if known, "
+        "current [A] (default: one command at the first scan)",
     )
     parser.add_argument(
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="table of the instruments' calibration: columns of daq/info, one row per channel",
+        help="table of the instruments' calibration: columns of daq/info, one row per channel (default: estimated from "
+        "the data, else exact)",
     )
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
     parser.add_argument(
@@ -201,8 +217,8 @@ def add_drive(commands: Commands) -> None:
             ("drive lock --gap none", "find the resonance without a sphere, and track it"),
             ("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz"),
         ],
-        "`impact-rig drive TEST --help` shows the options of a test. DT is the displacement "
-        "transmissibility. Each test writes its results to a new directory, whose name is the last line of its output.",
+        "`impact-rig drive TEST --help` shows the options of a test. DT is the displacement transmissibility. Each "
+        "test writes its results to a new or empty directory, whose name is the last line of its output.",
     )
     tests = parser.add_subparsers(dest="test", required=True, metavar="TEST", help="kind of test")
     for add in (
@@ -212,6 +228,10 @@ def add_drive(commands: Commands) -> None:
         add(tests)
 
 
+STREAM_ENDING = (
+    "Exit code 0: the test ran to its end and has a result; 1: it ended early or has no result. With --through "
+    "running, the rig keeps its own configuration, and its drive ramps to zero at the end."
+)
 RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
 PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: {})"
 EXCITATION = {name: name for name in ("kind", "frames", "frame_s", "low_hz", "high_hz", "rms")} | {"drive_seed": "seed"}
@@ -232,6 +252,7 @@ def _add_play(tests: Commands) -> None:
             ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
             ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
         ],
+        STREAM_ENDING,
     )
     _add_signal(parser, "current")
     parser.add_argument(
@@ -241,7 +262,8 @@ def _add_play(tests: Commands) -> None:
         "--clip",
         type=positive("A"),
         metavar="A",
-        help="current to which larger samples are clipped (default: a sample above the shaker's limit ends the test)",
+        help="absolute value to which larger samples are clipped (default: a sample above the shaker's limit ends the "
+        "test)",
     )
     _add_stream_options(parser, "play", FAST_HZ)
 
@@ -258,6 +280,7 @@ def _add_frf(tests: Commands) -> None:
             ("drive frf --gap none", "base over current, with bursts of noise"),
             ("drive frf --response laser --reference base --kind chirp", "structure over base"),
         ],
+        f"{STREAM_ENDING} A response that is only noise is no result.",
     )
     parser.add_argument(
         "--kind", choices=signals.KINDS, default=default.kind, help=f"signal of the drive (default: {default.kind})"
@@ -293,6 +316,7 @@ def _add_random(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_stream:run_random",
         "shake the rig with random noise, corrected until a response has a requested power spectral density",
         [("drive random --gap none", "a power spectral density of the base's acceleration, 5 to 200 Hz")],
+        STREAM_ENDING,
     )
     parser.add_argument(
         "plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("random", "the base's acceleration, 5 to 200 Hz")
@@ -308,6 +332,7 @@ def _add_replicate(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_stream:run_replicate",
         "make a motion of the rig follow a given signal, by learning from repeated trials",
         [("drive replicate road.csv --signal x_b --unit mm", "the motion of the base follows the column x_b")],
+        STREAM_ENDING,
     )
     _add_signal(parser, "the one that follows")
     parser.add_argument(
@@ -327,6 +352,7 @@ def _add_shock(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_stream:run_shock",
         "make the base follow a compensated half sine, by learning from repeated trials",
         [("drive shock", "20 m/s², 11 ms")],
+        STREAM_ENDING,
     )
     parser.add_argument("plan", nargs="?", type=Path, metavar="FILE", help=PLAN.format("shock", "20 m/s², 11 ms"))
     _add_stream_options(parser, "shock", FAST_HZ)
@@ -341,7 +367,9 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         metavar="NAME",
         help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
     )
-    parser.add_argument("--unit", default="", metavar="UNIT", help="unit of the values (default: the file's, else SI)")
+    parser.add_argument(
+        "--unit", default="", metavar="UNIT", help="unit of a file's values (default: the file's, else SI)"
+    )
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
     )
@@ -365,7 +393,7 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=_limit,
         default=[],
         metavar="CHANNEL=X",
-        help="limits of channels; a reading beyond one ends the test, e.g. laser=5mm current=2A",
+        help="limits of channels; a larger absolute reading ends the test, e.g. laser=5mm current=2A (default: none)",
     )
     add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
@@ -391,6 +419,7 @@ def _add_hold(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_sine:run_hold",
         "step the frequency at a controlled amplitude",
         [("drive hold base 60um --frequencies 8.8 9.1 9.4", "the base at 60 µm, at three frequencies")],
+        "Exit code 0: DT was measured at each frequency, with the amplitude within the tolerance; 1: otherwise.",
     )
     parser.add_argument(
         "what",
@@ -422,6 +451,7 @@ def _add_sweep(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_sine:run_sweep",
         "step the frequency at a constant current",
         [("drive sweep --gap 6mm --direction up_down", "DT over the frequency, upwards and downwards")],
+        "Exit code 0: DT was measured at each frequency; 1: otherwise.",
     )
     _add_points(parser)
     _add_current(parser)
@@ -430,14 +460,18 @@ def _add_sweep(tests: Commands) -> None:
 
 def _add_lock(tests: Commands) -> None:
     """Register the test `impact-rig drive lock` with its options."""
+    lock = attrs.fields(LockPlan)
     parser = subcommand(
         tests,
         "lock",
         "impact_rig_studies.cli.drive_sine:run_lock",
         "find a resonance, track it, and dwell there",
         [("drive lock --gap none", "the resonance without a sphere")],
+        f"The frequency stays between {lock.low_hz.default:g} and {lock.high_hz.default:g} Hz. The test ends early "
+        f"if no resonance is found within {lock.seek_limit_s.default:g} s of rig time. Exit code 0: a resonance was "
+        "tracked until the end; 1: otherwise, with the reason.",
     )
-    add_field(parser, attrs.fields(LockPlan).dwell_s, "S", "--dwell")
+    add_field(parser, lock.dwell_s, "S", "--dwell")
     _add_search(parser)
     _add_current(parser)
     _add_sine_options(parser, "lock")
@@ -451,9 +485,15 @@ def _add_backbone(tests: Commands) -> None:
         "impact_rig_studies.cli.drive_sine:run_backbone",
         "find the resonance at each of several currents, in ascending and then in descending order",
         [("drive backbone --currents 0.1 0.2 0.4", "frequency and amplitude of the resonance at three currents")],
+        "Exit code 0: the test ran to its end; 1: it ended early, with the reason.",
     )
     parser.add_argument(
-        "--currents", type=float, nargs="+", required=True, metavar="A", help="peak coil currents in ascending order"
+        "--currents",
+        type=float,
+        nargs="+",
+        required=True,
+        metavar="A",
+        help="peak coil currents above 0, in ascending order (required)",
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")
@@ -493,18 +533,24 @@ def add_campaign(commands: Commands) -> None:
             ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
             ("campaign my.yaml --through ros --record --output runs/mine", "with ROS nodes, and recordings"),
         ],
-        "The last line is the directory of the results; `impact-rig report` makes a page of it.",
+        "The last line is the directory of the results; `impact-rig report` makes a page of it. Exit code 0, also if "
+        "points failed, unless --check is given; 1 after an error.",
     )
     parser.set_defaults(needs_ros=lambda arguments: arguments.through[0] == ROS)
     _add_tasks(parser, "campaign", "campaign", "config/paper.yaml", ", ros (rig and analysis as ROS nodes)")
-    parser.add_argument("--only", nargs="+", default=(), metavar="STUDY", help="studies to measure (default: all)")
+    parser.add_argument(
+        "--only", nargs="+", default=(), metavar="STUDY", help="studies of FILE to measure (default: all)"
+    )
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
     )
     parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
-        "--check", action="store_true", help="exit with 1 if a point failed or the results contradict the paper"
+        "--check",
+        action="store_true",
+        help="exit with 1 if a point or one of the paper's statements failed, or the reductions differ from the "
+        "paper's by more than the printed limits",
     )
 
 
@@ -520,6 +566,7 @@ def add_report(commands: Commands) -> None:
             ("report runs/demo/gap_6mm", "one run: result, uncertainty, conditions, motion"),
             ("report runs/campaign_paper --margins runs/campaign_margins", "with sensitivities to constants"),
         ],
+        "The last line is the path of report.html. Exit code 0: written, whatever the results are.",
     )
     parser.add_argument("directory", type=Path, metavar="DIR", help="directory of a campaign, or a run")
     add_output(parser, "directory for report.html and report.json (default: DIR)")
@@ -554,13 +601,15 @@ def add_map(commands: Commands) -> None:
             ("map config/maps/gap_frequency.yaml", "on all cores; writes a table and draws the map"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
+        "Exit code 0: the motion was resolved at one point or more; 1: at none.",
     )
     _add_tasks(parser, "map", "map", "config/maps/gap_frequency.yaml")
     _add_drawings(parser)
     parser.add_argument(
         "--exponent",
         action="store_true",
-        help="compute the largest Lyapunov exponent of every motion that is not periodic",
+        help="compute the largest Lyapunov exponent of every motion that is not periodic, for the JSON and the table; "
+        "only for a map whose direction is reset",
     )
 
 
@@ -575,7 +624,8 @@ def add_dynamics(commands: Commands) -> None:
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
             ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
         ],
-        more="All studies use the mechanics without instruments. Run the command again to resume it.",
+        more="All studies use the mechanics without instruments. Run the command again to resume it. Exit code 0: the "
+        "motion was resolved for one row or more; 1: for none.",
     )
     parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
     _add_tasks(parser, "dynamics", "studies", "config/dynamics/nominal.yaml")
@@ -607,7 +657,9 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         help=f"way of measuring: process (all cores; default){other_way} or dask ADDRESS (a Dask cluster)",
     )
     add_output(parser, f"directory of the results; those already in it are kept (default: runs/{command}_<file>)")
-    parser.add_argument("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="number of processes with --through process (default: one per core)"
+    )
     add_json(parser)
 
 
@@ -628,6 +680,8 @@ def add_identify(commands: Commands) -> None:
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
             ("identify --paper", "what the paper's own numbers determine"),
         ],
+        "Writes identification.json into DIR, and identified.yaml, a configuration with the constants, if the data "
+        "determine all of them and the model explains the data. Exit code 0 in any of these cases.",
     )
     add_json(parser)
     parser.add_argument(

@@ -40,7 +40,8 @@ def words(
 ) -> tuple[Path, Path, str, str]:
     """Return the arguments of a command: file, directory of the results, way of measuring, address of a Dask cluster.
 
-    The file may also follow `--through` and its arguments.
+    The file may also follow `--through` and its arguments. The directory is absolute; the address is empty unless the
+    way is `dask`.
 
     Args:
         arguments: parsed arguments of the command.
@@ -49,7 +50,8 @@ def words(
         ways: allowed ways of measuring.
 
     Raises:
-        ConfigError: an argument is invalid.
+        ConfigError: the file or the address is missing, the way is unknown, there are further words, or the number of
+            workers is below 1.
     """
     way, *rest = arguments.through
     if way not in ways:
@@ -60,8 +62,10 @@ def words(
             raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
         address = rest.pop(0)
     file = arguments.file or (Path(rest.pop(0)) if rest else None)
-    if file is None or rest:
-        raise ConfigError(f"one {what} file is needed, e.g. impact-rig {example}")
+    if file is None:
+        raise ConfigError(f"a {what} file is needed, e.g. impact-rig {example}")
+    if rest:
+        raise ConfigError(f"unexpected {' '.join(rest)!r} after --through {way}; use the form impact-rig {example}")
     if arguments.workers is not None and arguments.workers < 1:
         raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
     return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), way, address
@@ -101,7 +105,7 @@ def measure(
 
 
 def figures_folder(arguments: argparse.Namespace, directory: Path) -> Path:
-    """Create and return the folder of a study's figures: the requested one, or one in its directory.
+    """Create and return the folder of a study's figures: that of the option `--figures`, else `figures` in `directory`.
 
     Raises:
         RecordingError: the folder cannot be created.

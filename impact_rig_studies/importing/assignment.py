@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping as AnyMapping
+from collections.abc import Sequence
 
 import attrs
 
@@ -62,13 +63,9 @@ def guess(source: ImportedSignals) -> Mapping:
     for channel in CHANNELS:
         if channel in free:
             take(channel, channel)
-    words = {name: _words(name) for name in free}
     for channel in _ORDER:
-        for hint in HINTS[channel] if channel not in chosen else ():
-            matching = [name for name, one in free.items() if hint in words[name] and _fits(one, channel)]
-            if len(matching) == 1:
-                take(channel, matching[0])
-                break
+        if channel not in chosen and (name := _meant(channel, HINTS[channel], free)) is not None:
+            take(channel, name)
     for channel in ("accelerometer", "current"):
         if channel not in chosen:
             matching = [name for name, one in free.items() if one.unit and quantity(one.unit) == UNITS[channel][0]]
@@ -81,11 +78,8 @@ def guess(source: ImportedSignals) -> Mapping:
             for name, one in source.signals.items()
             if one.kind is SignalKind.TIME_RESPONSE and name not in {used.column for used in chosen.values()}
         }
-        for hint in (missing, *HINTS[missing]):
-            matching = [name for name, one in free.items() if hint in _words(name) and _fits(one, missing)]
-            if len(matching) == 1:
-                take(missing, matching[0])
-                break
+        if (name := _meant(missing, (missing, *HINTS[missing]), free)) is not None:
+            take(missing, name)
     if "laser" not in chosen and "accelerometer" in chosen and "base" in chosen:
         chosen["laser"] = chosen["accelerometer"]
     stem = source.path.stem[:LONGEST_GUESSED]
@@ -97,6 +91,13 @@ def guess(source: ImportedSignals) -> Mapping:
     if "gap" in free:
         gap = "gap"
     return Mapping(channels=chosen, frequency=frequency, gap=gap, guessed=frozenset(guessed - set(free)))
+
+
+def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal]) -> str | None:
+    """Return the name of the signal with the first hint that only one suitable signal has; None if there is none."""
+    words = {name: _words(name) for name, one in signals.items() if _fits(one, channel)}
+    matching = ([name for name, own in words.items() if hint in own] for hint in hints)
+    return next((names[0] for names in matching if len(names) == 1), None)
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:

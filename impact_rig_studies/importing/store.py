@@ -127,8 +127,7 @@ def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
         row["sample"] = max(0, round((instant - found.start_ns) * found.rate_hz / NS_PER_S))
         yield topics.APPLIED, Table(instant, row)
     for text in found.labels:
-        words = text.encode() + b"\0"
-        yield topics.NOTES, b"\x00\x01\x00\x00" + len(words).to_bytes(4, "little") + words
+        yield topics.NOTES, codec.encode_text(text)
 
 
 def _blocks(found: ImportedRun) -> Iterator[Table]:

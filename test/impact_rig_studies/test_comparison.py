@@ -136,7 +136,7 @@ def test_a_record_from_mid_motion_is_compared_and_one_with_a_gap_in_parts(
 def test_a_run_without_a_settled_measurement_is_rejected(tmp_path: Path) -> None:
     with (
         open_run(measured_rig(0.5).save(tmp_path / "run")) as run,
-        pytest.raises(RecordingError, match="nothing settled"),
+        pytest.raises(RecordingError, match="no measurement of DT settled"),
     ):
         compare(run)
 
