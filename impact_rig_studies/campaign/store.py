@@ -89,7 +89,9 @@ class Store:
             return None
         except DamagedPointError as error:
             if as_it_is:
-                raise DamagedPointError(f"{error}; measure or import the campaign again to replace it") from error
+                raise DamagedPointError(
+                    f"{error}; measure the campaign again to replace it, or import it again into a new directory"
+                ) from error
             self.damaged.append(str(error))
             return None
         incomplete = job.traces and not (outcome.trace or outcome.failure)
