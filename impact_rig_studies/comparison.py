@@ -83,7 +83,10 @@ SCANS = 20_000_000  # limit for a compared run
 
 @attrs.frozen
 class ComparedPoint:
-    """Measurement at one gap and frequency, and that of the model for the same drive."""
+    """Measurement at one gap and frequency, and that of the model for the same drive.
+
+    Both are rows of `transmissibility/table`; `model` is None if the model did not settle. `gap_m` is NaN if unknown.
+    """
 
     gap_m: float  # label, NaN if unknown
     frequency_hz: float  # of the drive
@@ -115,7 +118,12 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """Result of `compare`: a measured run, and the model with the same drive."""
+    """Result of `compare`: a measured run, and the model with the same drive.
+
+    `places` are ascending by gap and frequency. `excerpt` is the last settled measurement, with its sensors' lags
+    corrected, and `model` has the model's scans at the same times. `missing` names what a requested fit needs and the
+    run does not have.
+    """
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # configuration of the model

@@ -61,7 +61,12 @@ TRACE_BLOCKS = 2  # number of blocks kept as a trace after the last measurement
 
 @attrs.frozen(kw_only=True)
 class Job:
-    """Definition of one run that starts with a reset rig: configuration, drive frequencies and current."""
+    """Definition of one run that starts with a reset rig: configuration, drive frequencies and current.
+
+    `changes` are the configuration values that differ from the default rig, by dotted name. `gap_m` is the operator's
+    label for the analysis. `repetitions` is the number of settled measurements per frequency. With `traces`, scans and
+    true motion are kept after the last one.
+    """
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     analysis: Mapping[str, Value] = attrs.field(factory=dict)
@@ -132,7 +137,11 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """Result of measuring a job: its measurements, and why it failed if it did."""
+    """Result of measuring a job: its measurements, and in `failure` why it did not finish; empty if it did.
+
+    `skipped_hz` are frequencies without a measurement because a sensor was over range. `lost_scans` never reached the
+    analysis. `simulated_s` is the duration in rig time, `wall_s` by the clock of this machine.
+    """
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
     """Measurements that the sweep accepted, in their order: rows of `transmissibility/table`."""

@@ -56,7 +56,11 @@ DEMO_POINTS_LIMIT = 3.0  # the same for the demo, which measures each case twice
 
 @attrs.frozen
 class Reductions:
-    """Reductions of the transmissibility by gap [m], compared with the run without the sphere."""
+    """Reductions of the transmissibility DT by gap [m], compared with the run without the sphere.
+
+    `dt` and `dt_uncertainty` are DT and its standard uncertainty by gap; in the second, the key `NO_SPHERE` means the
+    run without the sphere.
+    """
 
     dt_no_sphere: float  # transmissibility without the sphere
     dt: Mapping[float, float]

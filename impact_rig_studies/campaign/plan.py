@@ -61,7 +61,11 @@ OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.from
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured."""
+    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured.
+
+    A gap of `NO_SPHERE` means without the sphere. `direction` is `reset` if the rig is reset before each frequency, or
+    the order of a sweep that keeps its state. `repetitions` is the number of measurements per frequency.
+    """
 
     name: str
     frequencies_hz: tuple[float, ...]
@@ -82,7 +86,10 @@ class Study:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """Job of a campaign, with the study and the values of the study's axes that it belongs to."""
+    """Job of a campaign, with its study, and its values of the study's axes other than frequency, gap and current.
+
+    `reference` states whether its rig is the reference rig, for which the paper's statements are judged.
+    """
 
     study: str
     job: Job
@@ -92,7 +99,11 @@ class Planned:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Campaign:
-    """Content of a validated campaign file: the rig, the settings of the analysis, and the studies."""
+    """Content of a validated campaign file: the rig, the settings of the analysis, and the studies.
+
+    `base` is the rig that all studies start with, `analysis` the settings that differ from the default, `text` the
+    file. The first combination of the study `first` is the reference rig; None means the first of `studies`.
+    """
 
     title: str
     base: RigConfig  # rig that all studies start with

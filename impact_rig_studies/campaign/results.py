@@ -44,7 +44,12 @@ IMPACTING = 0.1
 
 @attrs.frozen(eq=False, kw_only=True)
 class Point:
-    """Measurement at one frequency; values that were not measured are NaN. Columns as in `blocks.TRANSMISSIBILITY`."""
+    """Measurement at one frequency; values that were not measured are NaN.
+
+    `rows` are the settled measurements, or the one that did not settle: rows of `transmissibility/table`. `failure` is
+    the reason why there is no settled one, else empty. `gap_m` may be `NO_SPHERE`. `key` is that of the job that
+    measured it. `reference` states whether its rig is the reference rig, for which the paper's statements are judged.
+    """
 
     study: str
     axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current

@@ -66,7 +66,10 @@ Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
 
 @attrs.frozen(eq=False, kw_only=True)
 class Finished:
-    """Campaign with the results that are stored in its directory; it may be incomplete."""
+    """Campaign with the results that are stored in its directory; it may be incomplete.
+
+    `points` has each point of each job with a stored result. `outcomes` has their results by the key of the job.
+    """
 
     campaign: Campaign  # definition of the campaign
     directory: Path

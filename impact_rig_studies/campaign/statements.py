@@ -59,7 +59,11 @@ class MissingError(LookupError):
 
 @attrs.frozen
 class Verdict:
-    """Verdict on one of the paper's statements, with the figures behind it."""
+    """Verdict on one of the paper's statements, with the figures behind it.
+
+    `result` is None if points that it needs are missing; `detail` then names them. `kind` is the strength of the
+    evidence, `unit` that of the value and the limit in `result`, `name` the key in `summary.json`.
+    """
 
     name: str  # key in `summary.json`
     text: str

@@ -49,13 +49,19 @@ FREQUENCY_HZ = 10_000  # means of neighbours represent faster scans: a fit of a 
 
 @attrs.frozen(eq=False)
 class ImportedRun:
-    """Content of an imported file, converted to what a run contains."""
+    """Content of an imported file, converted to what a run contains.
+
+    `index` has the number of each scan in `rows`, counted from the instant `start_ns`, with gaps where scans are
+    missing. `drive` has an instant [ns], a frequency [Hz] and an amplitude [`amplitude_unit`] for each command.
+    `labels` are remarks for the run, among them the gaps. `estimated` names, by channel, the columns of `info` that
+    were found in the data and not stated. `doubts` are assumptions that the user should confirm.
+    """
 
     source: ImportedSignals  # what was read
     mapping: Mapping  # mapping that was used
     rate_hz: Rate  # scans per second
-    start_ns: int  # stamp of the first scan
-    index: NDArray[np.int64]  # number of each scan, counted from the first, with gaps for losses; shape (n,)
+    start_ns: int  # instant from which `index` counts, in most cases the stamp of the first scan
+    index: NDArray[np.int64]  # number of each scan, with gaps for losses; shape (n,)
     rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
     drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
@@ -100,11 +106,7 @@ def convert(
         one = mapping.channels[name]
         signal = source.signals.get(one.column)
         if signal is None:
-            there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
-            hint = did_you_mean(one.column, source.signals, "did you mean {!r}?", there)
-            if one.column in source.left_out:
-                hint = f"it is left out, {source.left_out[one.column]}"
-            raise ConfigError(f"{source.path} has no signal {one.column!r} for {name}: {hint}")
+            raise _no_signal(source, one.column, name)
         one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
         factor, si_units[name] = one.to_si(name)
         found[name] = one.sign * one.scale * factor * signal.values
@@ -124,12 +126,10 @@ def convert(
     for key, column in (("frequency", mapping.frequency), ("gap", mapping.gap)):
         if isinstance(column, str):
             if column not in source.signals:
-                raise ConfigError(
-                    f"{key}: {source.path} has no signal {column!r}{did_you_mean(column, source.signals)}"
-                )
+                raise _no_signal(source, column, key)
             if len(source.signals[column].values) != count:
                 raise ConfigError(
-                    f"{key}: the signal {column!r} of {source.path} has {len(source.signals[column].values)} values, "
+                    f"{source.path}: the signal {column!r} for {key} has {len(source.signals[column].values)} values, "
                     f"but the channels have {count}"
                 )
             followed[key] = source.signals[column].values
@@ -170,6 +170,15 @@ def convert(
         tuple(dict.fromkeys(filter(None, doubts + guesses))),
         "A" if is_stated else f"{si_units[driver]} of {driver}",
     )
+
+
+def _no_signal(source: ImportedSignals, name: str, purpose: str) -> ConfigError:
+    """Return the error that a file has no signal of this name for a channel, the frequency or the gap."""
+    there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
+    hint = did_you_mean(name, source.signals, "did you mean {!r}?", there)
+    if name in source.left_out:
+        hint = f"it is left out, {source.left_out[name]}"
+    return ConfigError(f"{source.path} has no signal {name!r} for {purpose}: {hint}")
 
 
 def _unassigned(source: ImportedSignals) -> str:

@@ -43,7 +43,11 @@ OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
 
 @attrs.frozen(kw_only=True)
 class Channel:
-    """Source of a channel of the rig: the signal in an imported file, with its unit and calibration."""
+    """Source of a channel of the rig: the signal in an imported file, with its unit and calibration.
+
+    `scale` multiplies the values before their unit is applied. `sign` is -1 for a sensor mounted the other way round.
+    `offset` [SI unit] is added at the end. An empty `unit` means that of the file, else SI.
+    """
 
     column: str  # name of the signal in the file
     unit: str = ""  # unit of its values; empty means SI
@@ -108,7 +112,11 @@ def _not_negative(_mapping: object, _field: object, value: float | str | None) -
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap."""
+    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap.
+
+    `rate_hz`, if not None, replaces the times in the file. `resample_hz` is the rate for signals that are not uniform
+    in time, None to reject these. An `amplitude` [A] of NaN is found in the data.
+    """
 
     channels: AnyMapping[str, Channel]  # by name
     rate_hz: float | None = None  # rate, if the file has neither times nor a rate

@@ -54,7 +54,11 @@ Rate = int | float  # scans per second: int for a whole number
 
 @attrs.frozen(eq=False)
 class Grid:
-    """Signals at uniform times: scan number `index` is at `index / rate_hz`; missing scans are absent."""
+    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s].
+
+    `index` increases by more than 1 where scans are missing. `followed` has the drive's frequency and the gap, if
+    signals of the file give them.
+    """
 
     rate_hz: Rate
     index: NDArray[np.int64]  # number of each scan, counted from the first, shape (n,)

@@ -235,7 +235,7 @@ def _by_pint(unit: str, wanted: str) -> float | None:
 
 
 class Sensitivity(NamedTuple):
-    """Sensitivity of a sensor: its output voltage per unit of the measured quantity."""
+    """Sensitivity of a sensor: its output voltage `volts` per SI unit `unit` of the measured quantity."""
 
     volts: float  # volts per SI unit
     unit: str  # SI unit of the quantity

@@ -256,7 +256,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (STEADY, MM + "\nrate_hz: 1.0e-6\nresample_hz: 200", "values after resampling"),
         (STEADY, MM + "\nrate_hz: 0.02\nresample_hz: 2000", "values after resampling"),  # 400 MiB of 24 scans
         (STEADY, MM + "\nresample_hz: 50", "must be at least that of the file, 100 Hz"),
-        ("some words\n", "{}", "none of its first 201 lines is a row of numbers"),
+        ("some words\n", "{}", "none of its first 1 lines is a row of numbers"),
     ],
 )  # fmt: skip
 def test_an_invalid_measurement_is_rejected_with_the_reason(tmp_path: Path, text: str, mapping: str, why: str) -> None:

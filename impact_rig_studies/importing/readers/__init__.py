@@ -48,7 +48,11 @@ from impact_rig_studies.importing.signals import ImportedSignals, reasons
 
 @attrs.frozen
 class Format:
-    """File format that can be imported: its reader, and the library that the reader needs."""
+    """File format that can be imported: its reader, and the library that the reader needs.
+
+    `library` is the module to import, and `package` what to install for it; both are empty if the reader needs none.
+    `read` receives the path and the content of a file, and the module. `prepare` is called after the import.
+    """
 
     name: str  # name for messages, such as `a WAV file`
     read: Callable[..., ImportedSignals]  # function of path and content, and of the library if there is one

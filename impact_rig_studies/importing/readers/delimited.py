@@ -51,7 +51,11 @@ _QUOTED = re.compile(r'"[^"]*"|\S+')
 
 @attrs.frozen
 class Layout:
-    """Structure of a text table as detected in its lines; lines and columns count from 0."""
+    """Structure of a text table as detected in its lines; lines and columns count from 0.
+
+    A `delimiter` of None means blanks. `first` is the line of the first row of numbers, `width` the number of its
+    cells. `words` and `empty` are the columns that contain words, and nothing.
+    """
 
     delimiter: str | None  # None: blanks
     decimal: str  # `.` or `,`
@@ -76,7 +80,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     layout = find_layout(lines)
     if layout is None:
         raise RecordingError(
-            f"{path}: none of its first {HEADER_LINES + 1} lines is a row of numbers{_seen_instead(lines)}"
+            f"{path}: none of its first {min(len(lines), HEADER_LINES + 1)} lines is a row of numbers"
+            f"{_seen_instead(lines)}"
         )
     names, units, others = _headings(lines[: layout.first], layout)
     end = _end(lines, layout)

@@ -438,7 +438,7 @@ def test_a_directory_with_other_files_is_not_touched(small, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(RecordingError, match="holds no map"):
         run.store(tmp_path).prepare(plan.text, plan.base)
-    with pytest.raises(ConfigError, match="is not a map's directory"):
+    with pytest.raises(ConfigError, match="holds no results of `impact-rig map`"):
         run.open_map(tmp_path)
 
 
