@@ -229,8 +229,8 @@ def add_drive(commands: Commands) -> None:
 
 
 STREAM_ENDING = (
-    "Exit code 0: the test ran to its end and has a result; 1: it ended early or has no result. With --through "
-    "running, the rig keeps its own configuration, and its drive ramps to zero at the end."
+    "Exit code 0: the test ran to its end and has a result; 1: it ended early or has no result. The drive, also that "
+    "of a running rig, ramps to zero at the end."
 )
 RATE_HZ, FAST_HZ = 2_000, 10_000  # default rates of samples and scans: enough for 200 Hz, and for a shock
 PLAN = "file with the settings of the test, e.g. config/excitation/{}.yaml (default: {})"
