@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Example (b): the loop closed over the topics, in lockstep: rig time stands still while the controller thinks."""
+"""Example (b): the loop closed over the topics, in lockstep: rig time stops while the controller computes."""
 
 import math
 

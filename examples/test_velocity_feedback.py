@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The controller of the documentation, against a rig in real time: what it sends comes into force."""
+"""The controller of the documentation, against a rig in real time: its samples take effect."""
 
 from velocity_feedback import VelocityFeedback
 

@@ -107,7 +107,7 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(f"IMPACT_RIG_REQUIRE_ROS=1, but {_why_no_ros()}")
     if config.getoption("--check"):
         settings.load_profile("check")
-        # a start that is skipped leaves open what was opened for it
+        # a skipped test leaves open the files that were opened for its process
         config.addinivalue_line("filterwarnings", "ignore::ResourceWarning")
         config.addinivalue_line("filterwarnings", "ignore::pytest.PytestUnraisableExceptionWarning")
 
@@ -147,7 +147,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     if session.config.getoption("--changed") and exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
-        session.exitstatus = pytest.ExitCode.OK  # no test can tell the change
+        session.exitstatus = pytest.ExitCode.OK  # no test depends on the change
 
 
 def _leave_out(config: pytest.Config, items: list[pytest.Item], out: Callable[[pytest.Item], bool]) -> None:

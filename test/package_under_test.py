@@ -55,5 +55,5 @@ def prefer_installed() -> None:
     # the pytest plugin of the package was imported before any conftest; what it imports later is the installed package
     for name in [name for name in sys.modules if name.partition(".")[0] == PACKAGE]:
         del sys.modules[name]
-    os.environ["PYTHONSAFEPATH"] = "1"  # child processes do not look into the current directory first
+    os.environ["PYTHONSAFEPATH"] = "1"  # child processes do not search the current directory first
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(ROOT))))

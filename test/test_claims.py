@@ -71,7 +71,7 @@ def _text(kind: str, content: str) -> str:
     )
 
 
-# --- What the code says now: each function returns text that must be in its claim -------------------------------------
+# --- Results of the code: each function returns text that must be in its claim ----------------------------------------
 @functools.cache
 def transmissibility(gap_m: float) -> tuple[float, float]:
     """Return DT and u of the example on the first page; a gap of 0 means no sphere."""

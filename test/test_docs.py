@@ -127,9 +127,7 @@ def test_every_symbol_of_the_kernels_is_listed():
     used = set().union(*map(symbols_in, equations))
     assert len(used) > 50, "there are no equations"
     known = set(known_symbols()) | {symbol.strip("`") for symbol in known_symbols()}
-    counted = {symbol[:2] for symbol in known if re.fullmatch(r"._[\dkn]", symbol)} | {
-        "φ_"
-    }  # C_n stands for C_1 as well
+    counted = {symbol[:2] for symbol in known if re.fullmatch(r"._[\dkn]", symbol)} | {"φ_"}  # C_n includes C_1
     assert {one for one in used - known if not (one[:2] in counted and re.fullmatch(INDEXED, one))} == set()
 
 

@@ -144,7 +144,7 @@ def test_the_smallest_part_contains_only_what_the_package_imports() -> None:
 
 @pytest.mark.parametrize("part", ["run", "wheels", "kernels", "test"])
 def test_the_stated_size_of_a_part_is_an_upper_bound(part: str) -> None:
-    """`up to 420 MB` were 448 by the progress of the same command, before equal files are stored once."""
+    """The size before equal files are stored once must not exceed the stated one either."""
     names = versions(part).keys() & installed().keys()
     if part == "wheels" and not names:
         pytest.skip("ROS 2 is not installed from wheels here")

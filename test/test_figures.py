@@ -88,7 +88,7 @@ def test_each_picture_shows_the_present_page(name):
 @pytest.mark.heavy
 @pytest.mark.parametrize("name", digests.STUDIES)
 def test_the_reduced_plan_of_a_picture_contains_all_its_regimes(name):
-    """A fixed benign plan at regular places showed no change of the chaotic and of the rare motions of a picture."""
+    """A plan with only regular motions would not show a change of the chaotic and rare motions of a picture."""
     known = digests.written()[name]
     at = known.get("at", {})
     whole, few = digests.plan_of(digests.STUDIES[name][1]), digests.thinned(name, at)

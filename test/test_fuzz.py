@@ -67,7 +67,7 @@ def test_memory_of_hypothesis_does_not_count_for_the_inputs(tmp_path: Path) -> N
     assert [*tmp_path.glob("unicode_data/*/codec*")], "some text was drawn"
 
 
-# What was found, each with the input that found it
+# Past findings, each with its input
 
 
 def journal_with(number: int, **members: object) -> list[JournalEntry]:
@@ -99,7 +99,7 @@ def test_an_invalid_journal_is_rejected_by_name(members: dict[str, object], word
         list(itertools.islice(resimulate(journal_with(2, **members)), 5))
 
 
-def test_a_line_that_is_nested_too_deeply_is_refused() -> None:
+def test_a_line_that_is_nested_too_deeply_is_rejected() -> None:
     with pytest.raises(ConfigError, match="must be JSON"):
         JournalEntry.from_line("[" * 100_000)
 

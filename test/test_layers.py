@@ -93,7 +93,7 @@ def test_importing_the_package_itself_is_cheap():
 
 
 def test_the_help_of_the_commands_imports_no_large_library():
-    """SciPy's parts alone would take 1.1 s."""
+    """Importing SciPy alone would take 1.1 s."""
     code = "from impact_rig.cli.main import command_line; import sys; command_line(); print(*sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     loaded = result.stdout.split()
@@ -124,7 +124,7 @@ def test_all_files_state_the_same_version():
     assert in_package_xml == impact_rig.__version__
     assert f"\nversion: {in_package_xml}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     headings = re.findall(r"^(.+)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE)
-    # as catkin_pkg reads them: what is to come, or a version with its date
+    # as catkin_pkg reads them: the next release, or a version with its date
     assert headings[0] == "Forthcoming" or headings[0].startswith(f"{in_package_xml} (")
     assert all(re.fullmatch(r"Forthcoming|\d+\.\d+\.\d+ \(\d{4}-\d{2}-\d{2}\)", heading) for heading in headings)
     assert not headings[1:].count("Forthcoming")

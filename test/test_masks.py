@@ -80,7 +80,7 @@ def test_glibc_uses_other_functions_under_the_masks(masked: Machine, bare: Machi
     assert all(masked.glibc[name] != bare.glibc[name] for name in ("sin", "cos", "exp", "log", "pow"))
 
 
-@pytest.mark.slow  # `make portability` looks for itself before it believes a mask
+@pytest.mark.slow  # `make portability` verifies a mask before it trusts it
 @pytest.mark.parametrize("mask", [HASWELL, LLVM_GENERIC, NUMPY_BASELINE, GLIBC_BASELINE], ids=lambda mask: mask.name)
 def test_each_mask_takes_effect_by_itself(mask: Mask, bare: Machine) -> None:
     assert mask.verdict(machine(mask), bare) != "NO"

@@ -100,7 +100,7 @@ def test_history_is_found_in_comments_only():
     assert [one.rule for one in prose_lint.of_python("test/x.py", source)] == ["history"]
 
 
-def test_literal_blocks_one_after_the_other_are_no_prose():
+def test_consecutive_literal_blocks_are_not_prose():
     block = "\n    >>> " + "word " * 60 + "\n"
     assert not [one for one in prose_lint.sentences(f"Say it.\n{block}{block}") if "word" in one]
 

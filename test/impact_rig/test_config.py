@@ -106,7 +106,7 @@ def test_integer_fields_accept_only_integers(name, value):
 
 
 @pytest.mark.parametrize("name", WORDS)
-def test_a_word_must_be_one_of_the_choices(name):
+def test_a_text_value_must_be_one_of_the_choices(name):
     about, _ = FIELDS[name]
     with pytest.raises(ConfigError, match=f"must be one of {', '.join(about.choices)}, got 'nonsense'"):
         config.from_flat(RigConfig(), {name: "nonsense"})

@@ -46,7 +46,7 @@ def graph(tmp_path: Path) -> Iterator[tuple[Processes, str]]:
             yield processes, server.address
 
 
-def word(page: Page, expected: str) -> None:
+def wait_for_state(page: Page, expected: str) -> None:
     page.wait(f"document.getElementById('word').textContent === '{expected}'", f"the word {expected}")
 
 
@@ -58,17 +58,17 @@ def test_a_node_that_ends_is_greyed_out_until_it_returns(
     page.wait("window.lab && lab.now.rig?.word === 'at rest' && lab.drawn.pictures > 2", "a rig at rest")
     page.wait("['analysis', 'recorder'].every(name => lab.now.sources[name].lives)", "the other nodes")
     page.key("r")
-    word(page, "measured")
+    wait_for_state(page, "measured")
     assert not page.js("document.getElementById('dt-value').classList.contains('old')")
 
     processes.running["analysis"].signal(9)
-    word(page, "driving")
+    wait_for_state(page, "driving")
     page.wait("document.getElementById('dt-value').classList.contains('old')", "the value to be grey")
     assert "does not apply now" in page.text("#dt-why")
     assert "the analysis is gone" in page.text("#notice-text")
     page.wait("document.querySelector('#notice-buttons button').textContent === 'Start again'", "the offer")
     page.click("#notice-buttons button")
-    word(page, "measured")
+    wait_for_state(page, "measured")
 
     page.click("#record")
     page.wait("document.getElementById('recording').textContent.includes('run_')", "a recording")
@@ -92,7 +92,7 @@ def test_a_node_that_ends_is_greyed_out_until_it_returns(
 
     page.js("document.activeElement.blur()")
     processes.running["rig"].signal(signal.SIGSTOP)
-    word(page, "dead")
+    wait_for_state(page, "dead")
     page.key("0")
     page.wait("document.querySelector('.knob.refused .words')?.textContent.includes('no report from')", "a refusal")
     assert page.js("document.querySelectorAll('.pending').length") == 0
@@ -102,7 +102,7 @@ def test_a_node_that_ends_is_greyed_out_until_it_returns(
     assert page.js("lab.now.applied.current") == 1.2, "nothing of what was asked of the silent rig"
 
     processes.running["rig"].signal(9)
-    word(page, "dead")
+    wait_for_state(page, "dead")
     assert page.js("document.body.classList.contains('stale')")
     assert "code -9" in page.text("#notice-text")
     page.key("r")

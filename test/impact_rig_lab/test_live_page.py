@@ -125,7 +125,7 @@ def page(lab: Lab, open_page: Callable[..., Page]) -> Page:
     return found
 
 
-def word(page: Page, *expected: str) -> None:
+def wait_for_state(page: Page, *expected: str) -> None:
     page.wait(f"{list(expected)!r}.includes(document.getElementById('word').textContent)", f"the word {expected}")
 
 
@@ -146,12 +146,12 @@ def ending(lab: Lab, node: str) -> Iterator[None]:
 
 def test_the_key_r_leads_to_a_settled_transmissibility(lab: Lab, page: Page) -> None:
     """Nothing else is changed, and progress is shown until ± 2u appears."""
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
     page.key("r")
     lab.applied("frequency", 9.1)
     lab.applied("current", 0.52)
     page.wait("!document.getElementById('settling').hidden", "progress of settling")
-    word(page, "measured")
+    wait_for_state(page, "measured")
     page.wait("/^\\d+\\.\\d+$/.test(document.getElementById('dt-number').textContent)", "a number")
     assert page.text("#dt-u").startswith("± ")
     rows = lab.topics["transmissibility/table"].rows
@@ -170,7 +170,7 @@ def test_the_key_r_leads_to_a_settled_transmissibility(lab: Lab, page: Page) -> 
     curve(page, lab.directory)
     page.click("[data-mark='gap-4']")
     page.wait("lab.now.prediction.words.startsWith('Predicted for 4 mm')", "the prediction to follow the gap")
-    word(page, "settling", "driving")
+    wait_for_state(page, "settling", "driving")
     assert page.js("lab.now.dt_now.holds") is False, "that value was of another gap"
     page.wait("lab.motion.impacts.length > 0", "impacts in the new gap")
     assert page.js("lab.drawn.epoch") == lab.source.record.epoch
@@ -267,13 +267,13 @@ def test_typed_text_replaces_a_value_received_meanwhile(lab: Lab, page: Page) ->
 
 def test_a_stop_latches_until_it_is_cleared(lab: Lab, page: Page) -> None:
     page.click("#stop")
-    word(page, "tripped")
+    wait_for_state(page, "tripped")
     lab.until(lambda: any(kind == "stop" for kind, _, _ in lab.journal()), "the stop in the journal")
     page.write("#knob-current", "0.1")
     page.wait("document.querySelectorAll('.knob.refused').length > 0", "a command refused while latched")
     page.click("#notice-buttons button")
     lab.until(lambda: any(kind == "clear_trip" for kind, _, _ in lab.journal()), "the cleared latch")
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
     page.wait("document.querySelectorAll('.knob.refused').length === 0", "the refusal to go with its cause")
 
 
@@ -283,10 +283,10 @@ def test_the_stop_button_stays_above_the_help_sheet(lab: Lab, page: Page) -> Non
         page.key("?")
         page.wait("document.getElementById('sheet').open", "the sheet")
         stop()
-        word(page, "tripped")
+        wait_for_state(page, "tripped")
         page.js("document.getElementById('sheet').close()")
         page.key("c")
-        word(page, "at rest")
+        wait_for_state(page, "at rest")
 
 
 def no_accelerometer() -> tuple[str, Any]:
@@ -331,26 +331,26 @@ def test_a_stop_works_despite_invalid_messages_of_others(
     client.node.destroy_publisher(client._publishers.pop(name))
     page.key("Escape")  # from within a field, too
     lab.applied("current", 0.0)
-    word(page, "tripped")
+    wait_for_state(page, "tripped")
     page.js("document.activeElement.blur()")
     pictures = page.js("lab.drawn.pictures")
     page.wait(f"lab.drawn.pictures > {pictures}", "the pictures to go on")
     page.key("c")
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
 
 
 def test_a_rival_publisher_is_named_while_it_exists(lab: Lab, page: Page) -> None:
     """A rig with a second publisher of its topics must not be shown as "at rest"."""
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
     topic = by_name("truth/impacts")
     rival = lab.client.node.create_publisher(messages.class_of(topic), topic.name, messages.profile(topic.qos))
-    word(page, "rival")
+    wait_for_state(page, "rival")
     page.wait(
         "document.getElementById('sentence').title.includes('/rig/observer publishes truth/impacts as well')",
         "its name",
     )
     lab.client.node.destroy_publisher(rival)
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
 
 
 def test_settings_can_be_saved_and_applied_again(lab: Lab, page: Page, tmp_path: Path) -> None:
@@ -384,16 +384,16 @@ def test_a_clicked_button_is_not_pressed_again_by_space(lab: Lab, page: Page) ->
     page.click("#reset")
     page.wait("document.getElementById('answer').textContent !== ''", "the answer")
     page.key(" ")
-    word(page, "paused")
+    wait_for_state(page, "paused")
     page.key(" ")
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
 
 
 def test_pluck_pause_and_reset_reach_the_rig(lab: Lab, page: Page) -> None:
     judged = lab.source.record.curve.judged
     before = [*judged]
     page.click("#pluck")
-    word(page, "plucked")
+    wait_for_state(page, "plucked")
     # the jump, where it falls into a window that is measured, or a base that stands still
     unsound = lambda: [row for row in [*judged] if row not in before and row.status in ("spikes", "no_signal")]  # noqa: E731
     wait_until(unsound, "what the analysis makes of it")
@@ -401,13 +401,13 @@ def test_pluck_pause_and_reset_reach_the_rig(lab: Lab, page: Page) -> None:
     page.wait(f"lab.now.rig.time > {shown} + 1", "the page to know of it")
     assert page.text("#health") == "–", "no channel is at fault"
     page.click("#pause")
-    word(page, "paused")
+    wait_for_state(page, "paused")
     lab.until(lambda: "paused" in lab.client.status("rig").message, "the rig to be paused")
     page.click("#pause")
-    word(page, "plucked")
+    wait_for_state(page, "plucked")
     epoch = page.js("lab.drawn.epoch")
     page.click("#reset")
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
     lab.until(lambda: any(kind == "reset" for kind, _, _ in lab.journal()), "the reset in the journal")
     page.wait(f"lab.drawn.epoch > {epoch}", "a new record to be drawn")
 
@@ -425,7 +425,7 @@ def test_faults_and_remarks_reach_the_rig(lab: Lab, page: Page) -> None:
     page.js("document.activeElement.blur()")
     page.key("r")
     page.wait("lab.now.sources?.analysis.state === 'measuring'", "the analysis, which cannot see it")
-    word(page, "driving")
+    wait_for_state(page, "driving")
     said = "document.getElementById('sentence').textContent.includes('gain error laser (0.003) is active (truth)')"
     page.wait(said, "the reason")
     page.click("#fault-clear")
@@ -454,7 +454,7 @@ def test_a_recording_can_be_started_and_ended(lab: Lab, page: Page) -> None:
     page.wait("document.getElementById('recording').textContent === 'failed'", "the failure")
     page.wait("/Nothing is recorded: .*taken/.test(document.getElementById('notice-text').textContent)", "the reason")
     lab.client.set_parameters("recorder", {"directory": str(lab.directory)})
-    page.click("#record")  # as long as nothing is recorded the page says so, over what it says of the rig
+    page.click("#record")  # while nothing is recorded, this warning covers that of the rig
     page.wait("document.getElementById('recording').textContent.includes('run_')", "the name of the next run")
     page.wait("document.getElementById('notice').hidden", "the end of the warning")
     page.click("#record")
@@ -563,9 +563,9 @@ def test_the_page_can_be_used_by_keyboard_alone(lab: Lab, page: Page) -> None:
     page.key("0")
     lab.applied("current", 0.0)
     page.key("Escape")
-    word(page, "tripped")
+    wait_for_state(page, "tripped")
     page.key("c")
-    word(page, "at rest")
+    wait_for_state(page, "at rest")
 
 
 def test_a_page_that_does_not_draw_receives_no_pictures(lab: Lab, page: Page) -> None:

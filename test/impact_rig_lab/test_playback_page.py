@@ -149,7 +149,7 @@ def test_stepping_reaches_every_impact_and_ends_at_the_last(sample: Path) -> Non
 def test_two_runs_can_be_aligned_by_start_time_or_change_and_have_a_legend(
     shown: Callable[..., Server], open_page: Callable[..., Page], recorded: Messages, tmp_path: Path
 ) -> None:
-    """The second run begins five seconds later in rig time: by start both show, by rig time one comes later."""
+    """The second run begins five seconds later in rig time: aligned by start, both appear at once."""
     late = record(tmp_path / "late", from_second(recorded, 5.0))
     page = open_page(shown(record(tmp_path / "first", recorded), late).address, 1920, 1080, prefers_color_scheme="dark")
     page.wait("window.lab && lab.now.playback?.read === 1", "the marks")

@@ -279,7 +279,7 @@ def test_connections_beyond_the_limit_are_rejected_and_the_page_continues(server
                 if message.data[0] == FrameKind.REPLY:
                     break
             reads = [asyncio.create_task(reader.read()) for reader, _writer in held]
-            ended = iter(asyncio.as_completed(reads, timeout=5.0))  # sooner than who asks for nothing is turned out
+            ended = iter(asyncio.as_completed(reads, timeout=5.0))  # shorter than the timeout of silent clients
             closed = []
             for _ in range(20):  # whichever: not every kernel hands connections over in the order they were opened in
                 with contextlib.suppress(ConnectionError):

@@ -88,7 +88,7 @@ def test_the_page_has_no_accessibility_faults(page_file: Path, browser: Browser)
 
 
 def test_the_page_follows_window_size_and_colour_preference_while_it_runs(page_file: Path, browser: Browser) -> None:
-    """The scope kept its first width, so a narrowed page scrolled sideways; colours were chosen once, at the start."""
+    """A narrowed page must not scroll sideways, and colours must change with the preference."""
     page = browser.page(1440, 900)
     page.goto(page_file.as_uri())
     page.wait("lab.now.scans > 0", "the rig to run")

@@ -96,7 +96,7 @@ def test_the_state_follows_from_the_figures_and_the_gravest_is_shown_first(
 
 
 def test_progress_is_shown_only_for_a_running_analysis() -> None:
-    """One that was killed while it settled was shown at window 15 of 15 for ever."""
+    """An analysis that is killed while it settles must not be shown at window 15 of 15 forever."""
     figures = {"state": "settling", "settling_windows": "15", "settling_windows_needed": "15"}
     for age_s, ended, state in ((0.1, "", "settling"), (9.0, "", ""), (0.1, "its process ended with code -9", "")):
         analysis = Seen.of("analysis", figures, age_s, ended)
@@ -106,7 +106,7 @@ def test_progress_is_shown_only_for_a_running_analysis() -> None:
 
 
 def test_a_wait_for_the_sphere_is_shown_as_the_reason() -> None:
-    """It was called a transient of 0.0 % for two minutes."""
+    """The page must not show a transient of 0.0 % for two minutes instead."""
     why = "waiting up to 60 s for a sphere that may still strike"
     figures = {"state": "settling", "reason": why, "no_impact_s": "12.5", "no_impact_limit_s": "60.0"}
     analysis = Seen.of("analysis", figures, 0.1)
@@ -116,7 +116,7 @@ def test_a_wait_for_the_sphere_is_shown_as_the_reason() -> None:
 
 
 def test_the_form_of_a_fault_has_the_fields_of_its_kind() -> None:
-    """One default, 0.001, stood for all kinds, without a unit, and a rate for faults that have none."""
+    """Each kind needs its own default with a unit, and a rate only if it has one."""
     forms = choices()["faults"]
     assert set(forms) == set(FAULT_KINDS)
     assert [kind for kind, form in forms.items() if form["rate"]] == ["spike_train"]
@@ -160,7 +160,7 @@ def test_a_channel_is_shown_as_valid_only_if_a_row_confirms_it() -> None:
 
 
 def test_channels_are_judged_only_while_the_measured_drive_is_active() -> None:
-    """A bug once: after a pluck of a rig at rest the page said "laser: spikes", and after the reset it still did."""
+    """After a pluck of a rig at rest, or after a reset, the page must not show "laser: spikes"."""
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     applied = np.zeros(1, topics.APPLIED.columns)
     assert record.health() is None
@@ -182,7 +182,7 @@ def test_channels_are_judged_only_while_the_measured_drive_is_active() -> None:
 
 
 def test_a_command_of_the_previous_rig_is_not_current() -> None:
-    """A page once showed the current of a dead rig for seconds over the rig that came after it."""
+    """The page must not show the current of a rig that has ended for the rig that has replaced it."""
     record, applied, info = RigView(), np.zeros(1, topics.APPLIED.columns), np.zeros(4, topics.INFO.columns)
     applied["frequency"], applied["current"], info["rate"] = 9.1, 1.2, 10_000.0
     record.take(topics.INFO, encode(Table(10**9, info)))
@@ -192,7 +192,7 @@ def test_a_command_of_the_previous_rig_is_not_current() -> None:
     record.take(topics.FAULTS, encode(Table(2 * 10**9, fault)))
     assert record.drive == {"frequency": 9.1, "current": 1.2}
     assert len(record.doubts()) == 1
-    record.told_start_ns = 9 * 10**9  # its diagnostics come before its daq/info, or after it
+    record.told_start_ns = 9 * 10**9  # its diagnostics arrive before its daq/info, or after it
     assert record.drive is None
     assert record.doubts() == []
     record.told_start_ns = 0
@@ -209,7 +209,7 @@ def test_a_measurement_is_current_until_a_change_and_from_the_first_row_after_it
     record, row = RigView(), np.zeros(1, topics.TRANSMISSIBILITY_TABLE.columns)
     row["status"], row["frequency"], row["cycles"], row["gap"] = b"ok", 10.0, 40.0, 0.006
 
-    def told(second: int, kind: str, key: str) -> None:
+    def add_to_journal(second: int, kind: str, key: str) -> None:
         fault = Fault(kind=key, channel="laser") if kind == "fault" else None
         record.journal.add(JournalEntry(second, InputKind(kind), 0, second * 10**9, name=key, value=1.0, fault=fault))
 
@@ -222,7 +222,7 @@ def test_a_measurement_is_current_until_a_change_and_from_the_first_row_after_it
         if what is None:
             record.curve.add(Table(second * 10**9, row))
         else:
-            told(second, *what)
+            add_to_journal(second, *what)
         assert record.doubts() == doubts, second
     assert record.doubts(9 * 10**9) == ["contact.restitution was changed after it began"]
     assert record.doubts(7 * 10**9) == []

@@ -102,12 +102,12 @@ def test_only_the_newest_request_is_computed(monkeypatch: pytest.MonkeyPatch) ->
         assert go_on.wait(PATIENCE_S)
         return {"lines": [], "words": f"{amplitude:g}"}
 
-    def tell(found: dict[str, Any]) -> None:
+    def receive(found: dict[str, Any]) -> None:
         told.append(found)
         done.set()
 
     monkeypatch.setattr(theory, "predicted", slow)
-    one = Theory(tell)
+    one = Theory(receive)
     try:
         one.want(DEFAULT, 1.0)
         assert begun.wait(PATIENCE_S)

@@ -189,7 +189,7 @@ def test_the_command_names_only_the_constants_that_are_missing(
     recorded: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     gap: str, channels: tuple[str, ...], missing: list[str],
 ) -> None:  # fmt: skip
-    """A run driven by its measured current was once said to need a measured current."""
+    """The command must not ask for a measured current if the run contains one."""
     with open_run(recorded["linear"]) as run:
         rows = np.concatenate([table.rows for table in run.tables("daq/scan")])
     np.savez(tmp_path / "own.npz", **{name: rows[name] for name in channels})

@@ -158,7 +158,7 @@ def test_a_decay_with_amplitude_dependent_damping_is_rejected():
     assert measure_decay(scans(y), info_rows(rate)).status is Status.NOT_EXPONENTIAL
 
 
-def test_a_decay_with_impacts_is_refused():
+def test_a_decay_with_impacts_is_rejected():
     rate, rng = 10_000, np.random.default_rng(1)
     rows = scans(decay(5.0, rate) + 3e-6 * rng.standard_normal(5 * rate))
     rows["accelerometer"] = -((2 * np.pi * F_N) ** 2) * rows["laser"] + 0.05 * rng.standard_normal(len(rows))

@@ -484,7 +484,7 @@ ABSENT = {
 
 @pytest.mark.parametrize("kind", ABSENT)
 def test_a_start_without_an_orbit_or_a_section_is_reported_and_not_in_the_legend(kind, tmp_path, capsys, monkeypatch):
-    """Such a start vanished without a word from the rows, and its name stayed in the legend."""
+    """Such a start must not be missing from the rows without a message, nor have an entry in the legend."""
     text, line = ABSENT[kind]
     if kind == "section":
         real, calls = MapRig.measure, []
@@ -528,7 +528,7 @@ def test_the_printed_table_and_the_data_contain_start_and_branch(kind, tmp_path,
 
 
 def test_the_shares_of_a_basin_have_an_interval_within_0_and_1(tmp_path, capsys):
-    """The interval of a normal distribution reached below 0 for rare motions, and was empty for a share of 1."""
+    """The interval of a normal distribution would reach below 0 for rare motions, and be empty for a share of 1."""
     text = "set: {barriers.gap_m: 0.020}\nbasin: {sphere_position_m: [-0.009, 0.0], sphere_speed_m_s: "
     for speeds, shares in (("[0.0, 0.4, 0.5]}", 2), ("[0.4]}", 1)):
         (tmp_path / "study.yaml").write_text(text + speeds)
@@ -572,7 +572,7 @@ def test_a_symmetric_orbit_that_just_lost_stability_has_the_right_event(gap, tmp
 
 @pytest.mark.parametrize("over", ["gap_m", "sphere.contact_stiffness_of_a_long_name"])
 def test_a_legend_is_within_its_figure(over):
-    """Three columns of long names were wider than the figure, which cut them off at both sides."""
+    """Three columns of long names are wider than the figure, which would cut them off at both sides."""
     with style():
         figure, (axis,) = new_axes()
         for number in range(7):

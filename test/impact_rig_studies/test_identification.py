@@ -277,7 +277,7 @@ def test_a_gap_with_an_irregular_mean_adds_little_to_one_with_an_orbit():
 
 
 def test_a_single_mass_ratio_gives_no_information_about_the_restitution():
-    """It determines the masses at any e, also where the motion is chaotic and tells them less well."""
+    """It determines the masses at any e, less accurately where the motion is chaotic."""
     found = identify(synthetic(np.random.default_rng(0), RigConfig(), (0.0065,)), RigConfig())
     assert found.restitution == pytest.approx(0.35, abs=0.1 * U_RESTITUTION)
     assert found.u_restitution == pytest.approx(U_RESTITUTION, rel=0.1)
@@ -285,7 +285,7 @@ def test_a_single_mass_ratio_gives_no_information_about_the_restitution():
 
 
 def test_a_narrow_minimum_in_e_is_found(monkeypatch):
-    """A minimum of χ² 0.0025 wide, as was seen, is deeper by 12 or more than a broad one, and may lie anywhere."""
+    """A minimum of χ² only 0.0025 wide can be deeper by 12 or more than a broad one, and can be anywhere."""
     profile = fit._Profile(synthetic(np.random.default_rng(0), RigConfig(), (0.006,)), RigConfig())
     start = logarithms(RigConfig())
     at_nominal = profile._fit(0.35, start, np.zeros(len(NUISANCES)))

@@ -391,7 +391,7 @@ def test_a_long_heading_is_read_in_linear_time(text: str, size: int) -> None:
 
 @pytest.mark.parametrize("text", ["fs ch 1 ", "fs 1 x ", "sample rate (1 "])
 def test_many_lines_that_may_contain_a_rate_cost_little_time(text: str) -> None:
-    """Each word there is looked up as a unit, which took 6 s for 220 lines."""
+    """Looking up each word as a unit would take 6 s for 220 lines."""
     begin = time.process_time()
     headings.stated_rate([text * 40] * 220)
     assert time.process_time() - begin < 3.0

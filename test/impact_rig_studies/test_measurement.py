@@ -485,7 +485,7 @@ def test_two_files_of_one_name_are_rejected_before_any_is_written(
 def test_a_dry_run_reports_why_a_column_is_unused_and_that_the_gap_is_unknown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Columns were `not used` without a reason; second times and a missing gap had no line."""
+    """A second column of times and a missing gap have a line as well."""
     head = "timestamp,time,earlier,base [g],laser 1 [mm],top [mm],coil [mm],note,frequency [Hz]"
     rows = (f"2026-01-01T00:00:{0.01 * k:06.3f},{0.01 * k:.2f},0,{k},{k},{2 * k},{k},up,9" for k in range(400))
     (tmp_path / "own.csv").write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
@@ -524,7 +524,7 @@ def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str =
 def test_properties_found_in_the_data_of_a_sweep_may_differ_between_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Steps that differed in the last digits were once `another calibration`; rates and gaps have the same weakness."""
+    """Steps, rates and gaps that differ only in the last digits must not count as another calibration."""
     step = 3.8146972656249999e-4  # of 16 bits
     for name, text in {
         "one": readings(2.03, step, gap=",0.006"),
@@ -596,7 +596,7 @@ def test_a_failed_import_leaves_no_file_that_blocks_the_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], options: list[str], second: str, said: str,
     *, there: bool,
 ) -> None:  # fmt: skip
-    """The first file was written, then the second refused: the corrected command found `is not empty`."""
+    """If the second file is rejected, the first must not be written: it would block the corrected command."""
     (tmp_path / "one.csv").write_text(readings(1.0, 1e-3), encoding="utf-8")
     text = readings(1.0, 1e-3, frequency_hz=9.3)
     (tmp_path / "two.csv").write_text(text.replace("laser [mm],base [mm]", second), encoding="utf-8")
@@ -624,7 +624,7 @@ def test_a_failed_import_leaves_no_file_that_blocks_the_next(
 def test_two_files_of_the_same_sweep_point_are_rejected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], first: str, second: str
 ) -> None:
-    """The last replaced the others without a word, also where the name of one contradicts its data."""
+    """Otherwise, the last would silently replace the others, even if the name of one contradicts its data."""
     for name, amplitude in ((first, 1.0), (second, 2.0), ("gap_3mm_9.1Hz", 1.5), ("gap_6mm_9.3Hz", 0.5)):
         frequency_hz = 9.3 if "9.3" in name else 9.1
         text = readings(amplitude, 1e-3, frequency_hz=frequency_hz)
@@ -645,7 +645,7 @@ def test_two_files_of_the_same_sweep_point_are_rejected(
 def test_a_campaign_names_each_point_without_a_settled_measurement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A file without a settled measurement vanished: the campaign of the others looked complete."""
+    """If it were left out without a message, the campaign of the others would look complete."""
     text, (head, *rows) = readings(1.0, 1e-3), readings(2.0, 1e-3, frequency_hz=9.3).splitlines()
     (tmp_path / "one.csv").write_text(text, encoding="utf-8")
     (tmp_path / "short.csv").write_text("\n".join([head, *rows[:6000], ""]), encoding="utf-8")

@@ -62,7 +62,7 @@ def drive() -> np.ndarray:
 
 def cycles(**changes: dict) -> np.ndarray:
     """Three cycles, the first of which ramps."""
-    with np.errstate(all="ignore"):  # plain Python tells of each infinity
+    with np.errstate(all="ignore"):  # plain Python warns of each infinity
         simulation, segments = Simulation(rig(**changes)), sine(9.1, 0.3, 1.0 / 9.1, 3)
         segments["growth"][0] = 0.1 * 9.1
         simulation.place(x_1=-1e-3, d_rate=0.1)

@@ -197,6 +197,6 @@ def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Proven
             else:
                 data = codec.encode(one) if isinstance(one, Table) else one.encoded()
             newest_ns = max(newest_ns, one.stamp_ns)
-            # a label's stamp says since when it holds, not when it was published
+            # the stamp of a label is the time from which it is valid, not that of its publication
             writer.write(f"/rig/{name}", data, newest_ns if name == "analysis/settings" else one.stamp_ns)
     return writer.directory

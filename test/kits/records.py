@@ -129,7 +129,7 @@ def feed_all(tracker, tables: Iterable[Table]):
     )
 
 
-def words(tables):
+def statuses(tables):
     return [table.rows[0]["status"].decode() for table in tables]
 
 

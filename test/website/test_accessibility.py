@@ -59,7 +59,7 @@ def test_the_search_works_on_a_website_opened_from_disk(site, browser):
     page.goto((site / "index.html").as_uri())
     page.click(".md-search__input")
     page.call("Input.insertText", text="slow manifol")
-    page.key("d")  # the search looks at its field when a key is let go
+    page.key("d")  # the search reads its field when a key is released
     page.wait("document.querySelectorAll('.md-search-result__item').length > 0", "results")
     links = page.js("[...document.querySelectorAll('.md-search-result__link')].map(link => link.href).join(' ')")
     assert "prediction.html" in links

@@ -61,7 +61,7 @@ def matched(found, times, rate_hz, tolerance_s=0.5e-3):
 
 @pytest.mark.parametrize("rate_hz", [250_000, 500_000, 1_000_000])
 def test_impacts_are_timed_correctly_at_the_rates_of_the_fastest_boards(rate_hz):
-    """The look-ahead is long at 430 kS/s and more; a history shorter than it would shift onsets by 12 µs to 12 ms."""
+    """The look-ahead is long at 430 kS/s and more; a shorter history would shift onsets by 12 µs to 12 ms."""
     times = np.arange(0.05, 0.25, 0.0137)
     acceleration = background(0.3, rate_hz)
     add_impacts(acceleration, rate_hz, times, np.full(len(times), 0.4), np.resize([1, -1], len(times)))

@@ -20,7 +20,7 @@ import tracemalloc
 import attrs
 import numpy as np
 import pytest
-from kits.records import F_N, add_impacts, applied, blocks, feed_all, info_rows, linear_transmissibility, words
+from kits.records import F_N, add_impacts, applied, blocks, feed_all, info_rows, linear_transmissibility, statuses
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.settings import TrackerSettings
@@ -34,7 +34,7 @@ from impact_rig.states import AnalysisWord
 def test_a_settled_response_is_measured_window_after_window():
     measurements, _ = feed_all(tracker(), blocks(record(seconds=17.0), RATE, 20))
     truth = linear_transmissibility(9.1)
-    assert words(measurements) == ["ok"] * 3
+    assert statuses(measurements) == ["ok"] * 3
     for number, table in enumerate(measurements, start=1):
         row = table.rows[0]
         assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
@@ -104,7 +104,7 @@ def test_a_response_that_never_settles_is_reported_at_the_time_limit():
     rows = record(9.1, 25.0, transient=lambda t: truth * (0.3 + 0.02 * t))
     slow = TrackerSettings(window_s=0.1, wait_limit_s=10.0)
     measurements, _ = feed_all(tracker(tracker_settings=slow), blocks(rows, RATE, 20))
-    assert words(measurements) == ["not_settled"] * 2
+    assert statuses(measurements) == ["not_settled"] * 2
     first = measurements[0].rows[0]
     assert first["settled"] == 0
     assert np.isfinite(first["transmissibility"])
@@ -148,7 +148,7 @@ def test_a_modulated_response_is_labelled_and_averaged_for_longer():
     assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
 
 
-def test_impacts_per_cycle_come_from_the_accelerometer():
+def test_impacts_per_cycle_are_counted_by_the_accelerometer():
     rows = record(9.1, 7.0, rate_hz=50_000)
     times = (np.arange(2 * 62) + 0.3) / (2 * 9.1)
     signs = np.tile([1, -1], 62)
@@ -224,7 +224,7 @@ def test_the_state_reports_the_activity_of_the_measurement_and_its_start():
 
 
 def test_rest_is_a_state_and_not_a_problem():
-    """At rest, the rows say `silence`, and after a pluck something worse. This is expected: there is no problem."""
+    """At rest, the rows have the status `silence`, and after a pluck a worse one. This is no problem."""
     rng, made = np.random.default_rng(6), tracker()
     rows = record(seconds=20.0)
     for name, rms in (("laser", 3e-6), ("base", 1e-6), ("current", 2e-3), ("accelerometer", 0.05)):
@@ -234,7 +234,7 @@ def test_rest_is_a_state_and_not_a_problem():
     made.on_applied(applied(9.1, 0.0))
     seen, said = set(), []
     for table in blocks(rows, RATE, 20):
-        said += words(made.feed(table).measurements)
+        said += statuses(made.feed(table).measurements)
         seen.add(made.state)
     assert said[:3] == ["silence", "silence", "spikes"]
     assert {(state.word, state.reason) for state in seen} - {(AnalysisWord.NO_SCANS, "")} == {
@@ -313,7 +313,7 @@ def test_the_wait_for_a_drifting_sphere_counts_from_the_setting_of_the_gap():
     made = tracker(gap_m=0.010, tracker_settings=TrackerSettings(window_s=1.3, wait_limit_s=40.0, slowest_speed=1e-3))
     made.label(0.011, 7_800_000_000)  # the window from 6.6 s on is not complete then
     measurements, _ = feed_all(made, blocks(rows, RATE, 20))
-    assert words(measurements) == ["label_changed", "no_impacts"]
+    assert statuses(measurements) == ["label_changed", "no_impacts"]
     assert measurements[0].rows["impact_age"][0] == pytest.approx(7.8 - 6.679, abs=0.06)
     row = measurements[1].rows[0]
     assert row["waited"] >= 11.0
@@ -324,7 +324,7 @@ def test_the_wait_at_a_wide_gap_does_not_exceed_the_time_limit():
     """At 12 mm and 0.1 mm/s, the sphere needs two minutes; a wait beyond the time limit would count as a failure."""
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=12.0))
     measurements, _ = feed_all(made, blocks(record(seconds=19.0), RATE, 20))
-    assert words(measurements) == ["no_impacts"] * 2
+    assert statuses(measurements) == ["no_impacts"] * 2
     first = measurements[0].rows[0]
     assert first["waited"] == pytest.approx(12.2, abs=0.7)
     assert note_on(first) == "no impacts for 13 s; a sphere slower than 0.96 mm/s could still strike"
@@ -335,7 +335,7 @@ def test_silence_after_impacts_extends_the_wait_beyond_the_time_limit():
     rows = struck(record(seconds=18.0), np.arange(0.2, 6.0, 0.0549))
     made = tracker(gap_m=0.012, tracker_settings=TrackerSettings(window_s=0.1, wait_limit_s=10.0))
     measurements, _ = feed_all(made, blocks(rows, RATE, 20))
-    assert words(measurements) == ["ok", "no_impacts"]
+    assert statuses(measurements) == ["ok", "no_impacts"]
     assert measurements[1].rows[0]["impact_age"] == pytest.approx(10.7, abs=0.7)
 
 
@@ -354,7 +354,7 @@ def test_the_end_of_a_record_releases_a_row_that_waits_for_the_sphere():
     measurements, _ = feed_all(made, blocks(record(seconds=15.0), RATE, 20))
     assert measurements == []
     measurements = made.flush().measurements
-    assert words(measurements) == ["no_impacts"]
+    assert statuses(measurements) == ["no_impacts"]
     assert note_on(measurements[0].rows[0]).startswith("no impacts for 15 s; a sphere slower than 0.8")
 
 

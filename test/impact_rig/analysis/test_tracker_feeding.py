@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kits.records import add_impacts, applied, blocks, feed_all, info_rows, words
+from kits.records import add_impacts, applied, blocks, feed_all, info_rows, statuses
 from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 
 from impact_rig.analysis.tracker import Tracker
@@ -71,7 +71,7 @@ def test_a_label_and_a_command_of_one_instant_may_arrive_in_either_order():
             made.label(0.006, 4 * NS_PER_S)
         made.on_applied(applied(9.5, at_ns=4 * NS_PER_S))
         made.label(0.006, 4 * NS_PER_S)
-        reasons |= set(words(feed_all(made, blocks(record(seconds=5.0), RATE, 20))[0]))
+        reasons |= set(statuses(feed_all(made, blocks(record(seconds=5.0), RATE, 20))[0]))
     assert reasons == {"label_changed"}
 
 
@@ -101,7 +101,7 @@ def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
     assert moved[plain[1] < 2.0] == pytest.approx(0.0)
     assert moved[plain[1] > 2.1] == pytest.approx(lag_s, abs=1e-6)
     assert [one.rows.tobytes() for one in changed[0]] == [one.rows.tobytes() for one in longer[0]]
-    assert "ok" in words(changed[0])
+    assert "ok" in statuses(changed[0])
 
 
 def test_a_command_that_arrives_too_late_is_counted():
@@ -119,7 +119,7 @@ def test_the_first_command_discards_no_impact(size):
         made = tracker(None, gap_m=0.006)
         made.on_applied(applied(9.1, at_ns=NS_PER_S))
         found.append(feed_all(made, blocks(rows, RATE, cut))[0])
-    assert words(found[0]) == ["no_frequency", "ok"]
+    assert statuses(found[0]) == ["no_frequency", "ok"]
     assert found[0][0].rows["impact_age"][0] < 0.1, "it once said that there had been none"
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
@@ -151,7 +151,7 @@ def test_stamps_with_a_period_of_fractional_nanoseconds_are_contiguous():
     rows = record(73.0, 6.0, rate_hz=25_600)
     measurements, _ = feed_all(made, blocks(rows, 25_600, 97))
     assert made.counters.lost_scans == 0
-    assert set(words(measurements)) == {"ok"}
+    assert set(statuses(measurements)) == {"ok"}
 
 
 def test_a_repeated_command_or_label_changes_no_result():
@@ -164,7 +164,7 @@ def test_a_repeated_command_or_label_changes_no_result():
             made.label(0.0, table.stamp_ns)
             made.configure(Table(table.stamp_ns, info_rows(RATE, since_start=table.stamp_ns / NS_PER_S)))
         found += made.feed(table).measurements
-    assert words(found) == ["ok", "ok"]
+    assert statuses(found) == ["ok", "ok"]
 
 
 def test_a_late_subscriber_gets_scan_0_from_the_calibration():

@@ -18,7 +18,7 @@ from __future__ import annotations
 import attrs
 import numpy as np
 import pytest
-from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, words
+from kits.records import applied, blocks, feed_all, info_rows, linear_transmissibility, statuses
 from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 
 from impact_rig.analysis import tracker as tracker_module
@@ -29,7 +29,7 @@ from impact_rig.simtime import NS_PER_S, stamp_ns
 
 def test_every_interruption_is_named_and_excluded_from_the_mean():
     measurements, impacts, made = run_scenario(20)
-    assert words(measurements) == [
+    assert statuses(measurements) == [
         "ok",
         "command_changed",
         "ok",
@@ -63,7 +63,7 @@ def test_an_interruption_finds_every_cycle_although_scans_are_added_in_few_steps
     feed_all(made, tables[:4])
     assert set(begins) == {0}, "nothing else is due yet"
     made.on_applied(applied(90.0, at_ns=tables[4].stamp_ns))  # four whole cycles are there, none of them added
-    assert words(feed_all(made, tables[4:6])[0]) == ["command_changed"]
+    assert statuses(feed_all(made, tables[4:6])[0]) == ["command_changed"]
 
 
 def test_a_window_is_reported_with_the_block_that_completes_it(monkeypatch):
@@ -73,7 +73,7 @@ def test_a_window_is_reported_with_the_block_that_completes_it(monkeypatch):
         monkeypatch.setattr(tracker_module, "ADD_S", add_s)
         made = tracker(23.0)
         tables = blocks(record(23.0, 4.0), RATE, 20)
-        found.append([(k, one) for k, table in enumerate(tables) for one in words(made.feed(table).measurements)])
+        found.append([(k, one) for k, table in enumerate(tables) for one in statuses(made.feed(table).measurements)])
     assert found[0] == found[1]
     assert [word for _, word in found[0]] == ["ok"]
 
@@ -84,7 +84,7 @@ def test_a_gap_inside_a_block_is_found():
     holed = Table(0, np.delete(table.rows, slice(12_000, 12_010)))
     made = tracker()
     found = made.feed(holed)
-    assert "lost_blocks" in words(found.measurements)
+    assert "lost_blocks" in statuses(found.measurements)
     assert made.counters.lost_scans == 10
 
 
@@ -94,7 +94,7 @@ def test_a_gap_at_the_beginning_of_a_block_is_found():
     made = tracker()
     found = made.feed(first).measurements + made.feed(Table(second.stamp_ns, second.rows[100:])).measurements
     found += made.flush().measurements
-    assert words(found) == ["ok", "lost_blocks", "ok"]
+    assert statuses(found) == ["ok", "lost_blocks", "ok"]
     assert found[1].stamp_ns == 6 * NS_PER_S - NS_PER_S // RATE
     assert found[2].rows[0]["waited"] == pytest.approx(48 / 9.1, abs=1 / RATE)
     assert found[2].stamp_ns == pytest.approx((6.05 + 48 / 9.1) * NS_PER_S, abs=NS_PER_S / RATE)
@@ -128,7 +128,7 @@ def test_a_repeated_block_is_dropped_and_a_jump_back_restarts_the_measurement():
     assert made.counters.duplicate_scans == 100
     assert made.counters.scans == 50 * 100, "all that came, and what came twice once"
     measurements, _ = feed_all(made, tables)  # from scan 0 again: the rig was reset
-    assert words(measurements) == ["restarted", "ok"]
+    assert statuses(measurements) == ["restarted", "ok"]
     assert made.counters.restarts == 1
     fresh, _ = feed_all(tracker(), tables)
     assert measurements[1].rows.tobytes() == fresh[0].rows.tobytes(), "nothing of the first life may remain"
@@ -153,7 +153,7 @@ def test_results_after_a_reset_equal_those_of_a_new_record(late, silence_ns):
         found += made.feed(table).measurements
     found += made.flush().measurements
     gap_seen_first = silence_ns and late
-    assert words(found) == ["ok", "lost_blocks" if gap_seen_first else "restarted", "ok"]
+    assert statuses(found) == ["ok", "lost_blocks" if gap_seen_first else "restarted", "ok"]
     after = [table for table in found if table.stamp_ns >= reset_ns]
     assert [table.stamp_ns for table in after] == [table.stamp_ns for table in expected]
     assert b"".join(table.rows.tobytes() for table in after) == b"".join(t.rows.tobytes() for t in expected)
@@ -169,7 +169,7 @@ def test_a_late_announcement_of_a_reset_loses_no_scan(late):
         if number == late:
             made.configure(Table(reset_ns, info_rows(RATE)))
         found += made.feed(table).measurements
-    assert words(found) == ["ok", "restarted", "ok"]
+    assert statuses(found) == ["ok", "restarted", "ok"]
     assert [table.stamp_ns for table in found] == sorted(table.stamp_ns for table in found)
     last = found[-1]
     begun_ns = reset_ns + max(0, 20 * late - 100) * NS_PER_S // RATE
@@ -195,7 +195,7 @@ def test_a_calibration_that_overtakes_the_scans_of_a_reset_acts_from_its_stamp(r
             measurements += made.feed(table).measurements
         found.append(measurements)
         assert made.counters.restarts == 1
-    assert words(found[0]) == ["restarted", "ok", "calibration_changed", "ok"]
+    assert statuses(found[0]) == ["restarted", "ok", "calibration_changed", "ok"]
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
@@ -211,7 +211,7 @@ def test_a_new_calibration_after_months_is_not_taken_for_a_reset():
         if table.stamp_ns == changed_ns:
             made.configure(Table(changed_ns, info))
         found += made.feed(table).measurements
-    assert words(found) == ["ok", "calibration_changed", "ok"]
+    assert statuses(found) == ["ok", "calibration_changed", "ok"]
     assert made.counters.restarts == 0
 
 
@@ -232,7 +232,7 @@ def test_every_change_starts_a_new_measurement(kind):
                 made.configure(Table(table.stamp_ns, info))
         found += made.feed(table).measurements
     changed = {"label": "label_changed", "calibration": "calibration_changed", "current": "command_changed"}[kind]
-    assert words(found) == ["ok", changed, "ok"]
+    assert statuses(found) == ["ok", changed, "ok"]
     before, after = found[0].rows[0], found[2].rows[0]
     assert after["waited"] == pytest.approx(before["waited"], abs=1 / RATE)
     assert np.isnan(after["gap"]) if kind == "label" else after["gap"] == 0.0

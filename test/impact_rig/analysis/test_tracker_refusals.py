@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from kits.records import blocks, feed_all, info_rows, words
+from kits.records import blocks, feed_all, info_rows, statuses
 from kits.tracker import RATE, record, tracker
 
 from impact_rig.analysis.tracker import Counters, Tracker
@@ -52,7 +52,7 @@ def test_a_corrupted_stream_yields_a_status_and_no_number(spoil, status):
     spoil(rows, np.random.default_rng(7))
     measurements, _ = feed_all(tracker(), blocks(rows, RATE, 20))
     assert measurements
-    assert set(words(measurements)) == {status}
+    assert set(statuses(measurements)) == {status}
     assert len(measurements) <= 5, "a lasting fault is reported once per measurement, not once per window"
     assert all(np.isnan(table.rows[0]["transmissibility"]) for table in measurements)
 
@@ -60,12 +60,12 @@ def test_a_corrupted_stream_yields_a_status_and_no_number(spoil, status):
 @pytest.mark.parametrize("frequency_hz", [0.0, -1.0, np.nan, 900.0])
 def test_an_unusable_frequency_has_a_status(frequency_hz):
     measurements, _ = feed_all(tracker(frequency_hz), blocks(record(seconds=2.5), RATE, 20))
-    assert set(words(measurements)) == {"no_frequency"}
+    assert set(statuses(measurements)) == {"no_frequency"}
 
 
 def test_a_missing_command_is_reported_once_a_second():
     measurements, _ = feed_all(tracker(None), blocks(record(seconds=3.6), RATE, 20))
-    assert words(measurements) == ["no_frequency"] * 3
+    assert statuses(measurements) == ["no_frequency"] * 3
     assert [table.stamp_ns for table in measurements] == [k * NS_PER_S - NS_PER_S // RATE for k in (1, 2, 3)]
 
 
@@ -81,7 +81,7 @@ def test_an_invalid_calibration_is_rejected_and_the_previous_one_kept():
     with pytest.raises(ConfigError):
         made.configure(Table(0, info_rows(RATE)[:0]))
     measurements, _ = feed_all(made, blocks(record(seconds=6.0), RATE, 20))
-    assert words(measurements) == ["ok"]
+    assert statuses(measurements) == ["ok"]
 
 
 def test_the_statuses_with_numbers_are_the_documented_ones():

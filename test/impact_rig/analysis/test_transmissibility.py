@@ -291,7 +291,7 @@ def curved(values, c_2, c_3, linearity, half_range):
 
 @pytest.mark.parametrize("amplitude", [1e-5, 2e-3, 6e-3, 9e-3])
 def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
-    """A sine through a sensor with unit c_3, compared with the closed form; 1/√6 makes the spread a standard one."""
+    """A sine through a sensor with unit c_3 agrees with the closed form; 1/√6 makes the limit a standard one."""
     info = info_rows(gain_u=0.0)
     info["linearity"][LASER] = 30e-6
     info["sensitivity_uncertainty"][LASER] = np.hypot(1e-3, 1.5 * 30e-6 / 0.01 / np.sqrt(6))

@@ -182,7 +182,7 @@ def test_units_and_numbers_of_a_table_are_never_cut() -> None:
 
 
 def test_output_has_no_colour_where_colour_is_disabled(monkeypatch: pytest.MonkeyPatch) -> None:
-    def said() -> str:
+    def styled_text() -> str:
         console = Console()
         console.file = io.StringIO()
         console.print("whole", style="green")
@@ -190,9 +190,9 @@ def test_output_has_no_colour_where_colour_is_disabled(monkeypatch: pytest.Monke
 
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.setenv("FORCE_COLOR", "1")
-    assert "\x1b[" in said()
+    assert "\x1b[" in styled_text()
     monkeypatch.setenv("NO_COLOR", "1")
-    assert said() == "whole\n"
+    assert styled_text() == "whole\n"
 
 
 def test_progress_without_a_terminal_is_printed_as_plain_lines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -62,7 +62,7 @@ def test_ports_of_killed_processes_are_removed_and_those_in_use_are_not(tmp_path
             assert client.state("analysis") == "active"
         processes.running["analysis"].signal(signal.SIGKILL)
         processes.running["analysis"].wait(5)
-        assert ports(), "nothing is left to be removed"  # beside what the client may still be taking away
+        assert ports(), "nothing is left to be removed"  # in addition to those that the client may still be removing
         remove_litter(domain_id)
         assert not ports()
 

@@ -36,7 +36,7 @@ from impact_rig.client.client import Client, WaitTimeoutError
 from impact_rig.client.service_call import AGAIN_S
 
 
-class Deaf:
+class Unresponsive:
     """Callback of a service that never answers the first request."""
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ def client() -> Iterator[Client]:
 
 
 @pytest.fixture
-def serve(client: Client) -> Iterator[Callable[[Any, str], Deaf]]:
+def serve(client: Client) -> Iterator[Callable[[Any, str], Unresponsive]]:
     """Function that creates a deaf service on a node that another thread spins."""
     node = Node("server", context=client.context, use_global_arguments=False)
     executor = SingleThreadedExecutor(context=client.context)
@@ -64,8 +64,8 @@ def serve(client: Client) -> Iterator[Callable[[Any, str], Deaf]]:
     thread = threading.Thread(target=executor.spin)
     thread.start()
 
-    def create(service_type: Any, name: str) -> Deaf:
-        deaf = Deaf()
+    def create(service_type: Any, name: str) -> Unresponsive:
+        deaf = Unresponsive()
         node.create_service(service_type, name, deaf.answer, callback_group=ReentrantCallbackGroup())
         executor.wake()
         return deaf
@@ -76,7 +76,9 @@ def serve(client: Client) -> Iterator[Callable[[Any, str], Deaf]]:
     node.destroy_node()
 
 
-def test_a_repeatable_request_is_sent_again_if_its_answer_is_lost(client: Client, serve: Callable[..., Deaf]) -> None:
+def test_a_repeatable_request_is_sent_again_if_its_answer_is_lost(
+    client: Client, serve: Callable[..., Unresponsive]
+) -> None:
     name = "node/set_parameters_atomically"
     deaf = serve(SetParametersAtomically, name)
     began = time.monotonic()
@@ -85,7 +87,7 @@ def test_a_repeatable_request_is_sent_again_if_its_answer_is_lost(client: Client
     assert time.monotonic() >= began + AGAIN_S
 
 
-def test_a_request_that_must_not_be_repeated_is_sent_once(client: Client, serve: Callable[..., Deaf]) -> None:
+def test_a_request_that_must_not_be_repeated_is_sent_once(client: Client, serve: Callable[..., Unresponsive]) -> None:
     deaf = serve(Trigger, "rig/pluck")
     with pytest.raises(WaitTimeoutError, match="an answer of rig/pluck"):
         client.call(Trigger, "rig/pluck", Trigger.Request(), timeout_s=2 * AGAIN_S)

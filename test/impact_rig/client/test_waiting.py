@@ -134,7 +134,7 @@ def test_a_command_addresses_the_rig_whose_start_the_client_has_seen() -> None:
 
 
 def test_an_immediate_command_belongs_to_the_rig_that_is_running() -> None:
-    """A quick client must not take the successor for its rig because outdated diagnostics are ignored for a while."""
+    """A quick client must not mistake the successor for its rig while outdated diagnostics are ignored."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Activation, RigGoneError
 

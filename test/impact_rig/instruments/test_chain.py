@@ -94,7 +94,7 @@ def test_readings_of_the_simulated_rig_do_not_depend_on_how_calls_divide_time():
         return chain.read(chain.ready)
 
     whole = record(60)
-    assert np.max(np.abs(whole["accelerometer"])) > 50.0  # there were impacts
+    assert np.max(np.abs(whole["accelerometer"])) > 50.0  # the motion has impacts
     for ticks in (1, 7 - 2, 20):
         np.testing.assert_array_equal(record(ticks), whole)
 
@@ -114,7 +114,7 @@ def test_scans_are_complete_when_their_period_is_simulated(rate_hz):
         chain.read(1_000)
 
 
-def test_rates_agree_where_their_scans_coincide():
+def test_readings_at_different_rates_agree_where_their_scans_coincide():
     slow, fast = (run(configured(rate, exact=True, adc__multiplexed=False)) for rate in (5_000, 50_000))
     for name in CHANNELS:
         scale = np.max(np.abs(fast[name]))
@@ -286,6 +286,6 @@ def test_the_memory_of_the_chain_is_bounded():
             chain.acquire(lively_motion(), tick, 10)
             handed_out += chain.read(chain.ready).nbytes
 
-    measure(0, 100)  # whatever is made once
+    measure(0, 100)  # allocations that happen only once
     handed_out = 0
     assert growth(lambda: measure(100, 600)) < handed_out / 20

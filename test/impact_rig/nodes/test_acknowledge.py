@@ -32,7 +32,7 @@ from impact_rig.nodes.messages import nanoseconds
 pytestmark = pytest.mark.ros
 
 
-def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
+def _acknowledgements(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
     """Return the acknowledgements received for blocks processed in one go."""
     node = host_rig(client, time__peers=[])
     node.offer(topics.ACK)
@@ -49,13 +49,13 @@ def _told(client: Client, blocks: int, may_send: bool = True) -> list[Header]:
 
 
 def test_a_single_block_is_acknowledged_at_once(client: Client) -> None:
-    told = _told(client, 1)
+    told = _acknowledgements(client, 1)
     assert [(header.frame_id, nanoseconds(header.stamp)) for header in told] == [("rig", 0)]
 
 
 def test_blocks_of_a_burst_are_acknowledged_together_and_soon(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("impact_rig.nodes.acknowledgements.ALONE_S", 1.0)  # one burst, however busy the machine is
-    stamps = [nanoseconds(header.stamp) for header in _told(client, 3 * MOST + 3)]
+    stamps = [nanoseconds(header.stamp) for header in _acknowledgements(client, 3 * MOST + 3)]
     assert stamps == [0, MOST, 2 * MOST, 3 * MOST, 3 * MOST + 2]
 
 
@@ -80,4 +80,4 @@ def test_blocks_in_real_time_are_acknowledged_together_even_without_a_further_bl
 
 
 def test_blocks_that_are_not_yet_safe_are_not_acknowledged(client: Client) -> None:
-    assert _told(client, MOST + 1, may_send=False) == []
+    assert _acknowledgements(client, MOST + 1, may_send=False) == []

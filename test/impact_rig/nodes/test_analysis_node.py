@@ -69,7 +69,7 @@ def test_the_rows_of_the_node_equal_those_of_the_tracker_bit_for_bit(client: Cli
 
 @pytest.mark.parametrize("last_s", [math.nan, math.inf, 1e300])
 def test_an_invalid_time_yields_a_status_and_the_block_is_acknowledged(client: Client, last_s: float) -> None:
-    """A rig that waits for the analysis must not stand still because of invalid scans."""
+    """A rig that waits for the analysis must not stop because of invalid scans."""
     node = client.host(AnalysisNode)
     client.wait_active("analysis")
     acknowledged = client.collect("daq/ack")

@@ -77,7 +77,7 @@ def test_every_monitor_has_its_rate_stamps_of_scans_and_a_frame(default) -> None
         assert received[0].header.frame_id == by_name(name).frame_id != ""
 
 
-def test_frames_take_the_prefix_of_a_namespace() -> None:
+def test_frames_have_the_prefix_of_their_namespace() -> None:
     found = monitored(output__frame_prefix="two/")[1]
     assert {received[0].header.frame_id for received in found.values()} == {
         "two/superior_base", "two/laser", "two/base_sensor", "two/rig",
@@ -167,7 +167,7 @@ def test_a_laser_out_of_range_reads_infinity_of_the_right_sign() -> None:
     assert np.all(truth["x_1"][ranges == math.inf] < 0), "far from the laser: to the left"
 
 
-def test_joint_states_carry_the_contact_force_as_effort() -> None:
+def test_joint_states_contain_the_contact_force_as_effort() -> None:
     blocks, found = monitored(barriers__gap_m=0.002, output__monitor_rate_hz=200.0)
     truth = np.concatenate([block.monitor_states for block in blocks])
     for row, message in zip(truth, found["truth/joint_states"], strict=True):

@@ -41,7 +41,7 @@ CLOSED = 1e-6
 def test_a_running_rig_reports_rates_energy_faults_and_over_ranges(client: Client) -> None:
     fault = "saturation channel=laser start_s=0 value=1e-5"
     rig = {"drive__amplitude": 0.52, "barriers__gap_m": 0.002, "instruments__faults__planned": [fault]}
-    host_rig(client, "realtime", **rig)  # no faster: a rig that has slipped on a busy machine says nothing but that
+    host_rig(client, "realtime", **rig)  # no faster: a rig that is late on a busy machine reports only that
     client.wait_active("rig")
     client.wait_until(lambda: float(client.figures("rig").get("rig_time_s", 0.0)) > 4.0, "some rig time")
     found = client.figures("rig")
@@ -59,7 +59,7 @@ def test_a_running_rig_reports_rates_energy_faults_and_over_ranges(client: Clien
     assert (found["active_faults"], found["faults"]) == ("1", "saturation/laser")
     assert int(found["over_range.laser"]) > 1000
     assert found["over_range.base"] == "0"
-    client.wait_until(  # a rig that has fallen behind says that first
+    client.wait_until(  # a rig that is late reports that first
         lambda: "faults active: saturation/laser" in client.status("rig").message, "the fault's name", 60.0
     )
 

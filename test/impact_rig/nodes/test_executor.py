@@ -87,7 +87,7 @@ def run(executor: Any, calls: int = 50) -> None:
 def test_messages_without_a_notification_are_delivered_in_order(
     executors: list[Any], make_node: Callable[[str], Node], with_info: bool
 ) -> None:
-    told, heard = executors
+    first, second = executors
     got: list[str] = []
 
     def take(message: String) -> None:
@@ -98,20 +98,20 @@ def test_messages_without_a_notification_are_delivered_in_order(
 
     node, other = make_node("one"), make_node("other")
     node.create_subscription(String, "words", take_with_info if with_info else take, KEPT)
-    told.add_node(node)
-    run(told)
+    first.add_node(node)
+    run(first)
     publisher = other.create_publisher(String, "words", KEPT)
     for word in ("a", "b"):
         publisher.publish(String(data=word))
     assert publisher.get_subscription_count() == 1
     assert publisher.wait_for_all_acked(SOON)
-    heard.add_node(node)
-    run(heard)
+    second.add_node(node)
+    run(second)
     assert got == ["a", "b"]
     publisher.publish(String(data="c"))
     assert publisher.wait_for_all_acked(SOON)
     if not with_info:  # Jazzy's own way to hand over both is another
-        run(heard)
+        run(second)
         assert got == ["a", "b", "c"]
 
 
@@ -120,7 +120,7 @@ def test_an_exception_in_a_callback_does_not_prevent_later_deliveries(
     executors: list[Any], make_node: Callable[[str], Node], qos: QoSProfile
 ) -> None:
     """An exception that leaves a task of rclpy's events executor ends the process with a segmentation fault."""
-    told, heard = executors
+    first, second = executors
     node, other = make_node("one"), make_node("other")
     got: list[str] = []
 
@@ -130,19 +130,19 @@ def test_an_exception_in_a_callback_does_not_prevent_later_deliveries(
             raise ValueError("no")
 
     node.create_subscription(String, "words", take, qos)
-    told.add_node(node)
-    run(told)
+    first.add_node(node)
+    run(first)
     publisher = other.create_publisher(String, "words", KEPT)
     for word in "abc":
         publisher.publish(String(data=word))
     assert publisher.wait_for_all_acked(SOON)
-    heard.add_node(node)
-    run(heard)
+    second.add_node(node)
+    run(second)
     assert got == ["a", "b", "c"]
 
 
 def test_a_poll_ends_although_messages_keep_arriving(executors: list[Any], make_node: Callable[[str], Node]) -> None:
-    told, heard = executors
+    first, second = executors
     node = make_node("one")
     publisher = node.create_publisher(String, "words", KEPT)
     got: list[str] = []
@@ -153,13 +153,13 @@ def test_a_poll_ends_although_messages_keep_arriving(executors: list[Any], make_
             publisher.publish(message)
 
     node.create_subscription(String, "words", answer_oneself, KEPT)
-    told.add_node(node)
-    run(told)
+    first.add_node(node)
+    run(first)
     publisher.publish(String(data="a"))
     assert publisher.wait_for_all_acked(SOON)
-    heard.add_node(node)
+    second.add_node(node)
     while not got:
-        run(heard, 1)
+        run(second, 1)
     assert len(got) == KEPT.depth
 
 
@@ -167,7 +167,7 @@ def test_a_poll_ends_although_messages_keep_arriving(executors: list[Any], make_
 def test_requests_and_answers_without_a_notification_are_delivered(
     executors: list[Any], make_node: Callable[[str], Node], is_coroutine: bool
 ) -> None:
-    told, heard = executors
+    first, second = executors
     server, asking = make_node("server"), make_node("asking")
 
     def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -180,15 +180,15 @@ def test_requests_and_answers_without_a_notification_are_delivered(
     server.create_service(Trigger, "ask", answer_later if is_coroutine else answer)
     client = asking.create_client(Trigger, "ask")
     for node in (server, asking):
-        told.add_node(node)
-    run(told)
+        first.add_node(node)
+    run(first)
     assert client.wait_for_service(10.0)
     future = client.call_async(Trigger.Request())
-    heard.add_node(server)
-    run(heard)
+    second.add_node(server)
+    run(second)
     assert not future.done()
-    heard.add_node(asking)
-    run(heard)
+    second.add_node(asking)
+    run(second)
     assert future.result().message == "here"
 
 

@@ -92,7 +92,7 @@ def test_commands_of_any_value_are_accepted_in_range_and_otherwise_counted(
     @given(st.lists(numbers, min_size=QUEUE - 1, max_size=QUEUE - 1))
     def attack(values: list[float]) -> None:
         nonlocal sent
-        for value in (*values, high):  # the last one is good: its row tells that the others have been taken as well
+        for value in (*values, high):  # the last one is valid: its row shows that the others have been processed, too
             client.publish(topic, Float64(data=value))
         expected.extend(value for value in (*values, high) if math.isfinite(value) and low <= value <= high)
         sent += QUEUE

@@ -48,7 +48,7 @@ _START_NAMES = st.sampled_from([*FIELDS, "barriers.gap", "barriers", "a" * 999])
 
 
 def test_start_values_of_any_name_and_type_are_validated() -> None:
-    """The rig is configured only if the validator accepts all values; else it stays unconfigured and says why."""
+    """The rig is configured only if the validator accepts all values; else it stays unconfigured with the reason."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
 
         @settings(cases, max_examples=max(1, CASES // 2))

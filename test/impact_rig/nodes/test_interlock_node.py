@@ -38,7 +38,7 @@ from impact_rig.runs.verification import verify
 pytestmark = pytest.mark.ros
 
 
-def told(client: Client, node: RigNode) -> dict[str, str]:
+def present_figures(client: Client, node: RigNode) -> dict[str, str]:
     """Return the present figures of the rig."""
     client.diagnostics.clear()
     node.report_now()
@@ -60,9 +60,9 @@ def test_a_recorded_trip_latches_until_cleared_and_verifies_bit_for_bit(client: 
     with pytest.raises(CommandError, match="latched"):
         client.command(current_a=0.1)
     client.step(200)
-    assert told(client, node)["latched"]
+    assert present_figures(client, node)["latched"]
     client.trigger("rig/clear_trip")
-    found = told(client, node)
+    found = present_figures(client, node)
     assert (found["latched"], float(found["current_a"])) == ("", 0.0)
     client.command(current_a=0.1)
     client.step(50)
@@ -84,14 +84,14 @@ def test_a_latch_survives_leaving_the_active_state(client: Client, by: str, thro
         client.trigger("rig/stop")
     else:
         client.step(300)
-    assert told(client, node)["latched"].startswith("emergency" if by == "stop" else by)
+    assert present_figures(client, node)["latched"].startswith("emergency" if by == "stop" else by)
     steps = ["deactivate", "cleanup", "configure", "activate"]
     for transition in steps if through == "unconfigured" else (steps[0], steps[-1]):
         assert client.change_state("rig", transition)
     journal = client.collect("rig/journal")
     applied = client.collect("shaker/applied")
     client.step(100)
-    assert told(client, node)["latched"].startswith("emergency" if by == "stop" else by)
+    assert present_figures(client, node)["latched"].startswith("emergency" if by == "stop" else by)
     client.wait_until(lambda: "stop" in [entry.kind.value for entry in journal.entries()], "the stop in the journal")
     client.wait_until(lambda: len(applied.rows()) and applied.rows()["current"][-1] == 0.0, "the amplitude zero")
     assert abs(float(node._session.rig.simulation.stored_energy())) < 1e-12

@@ -103,7 +103,7 @@ def test_messages_of_several_blocks_are_written_together_and_all_before_the_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
     """An error in the queued messages, such as a full disk, must close the run, and ~/stop must report it."""
-    monkeypatch.setattr("impact_rig.nodes.acknowledgements.REALTIME_S", 60.0)  # whatever else takes it comes to light
+    monkeypatch.setattr("impact_rig.nodes.acknowledgements.REALTIME_S", 60.0)  # no timer processes the queue before
     came: list[str] = []
     kept: list[int] = []
 
@@ -341,7 +341,7 @@ def test_a_message_replaced_by_a_newer_one_does_not_count_as_lost(client: Client
     assert found.intact, found.verdict
 
 
-def test_what_is_acknowledged_is_complete_on_every_topic(client: Client, tmp_path: Path) -> None:
+def test_acknowledged_blocks_are_complete_on_every_topic(client: Client, tmp_path: Path) -> None:
     taken: Counter[str] = Counter()
     acknowledged: list[Counter[str]] = []
 

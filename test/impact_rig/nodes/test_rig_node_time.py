@@ -260,7 +260,7 @@ def test_the_work_timer_calls_at_the_end_of_every_block(client: Client, scans: i
 
 
 def test_a_pause_and_a_change_of_speed_keep_the_position_within_a_block(client: Client) -> None:
-    """The pacer continues within the block; otherwise the rig would stand still for as long as the block has lasted."""
+    """The pacer continues within the block; otherwise, the rig would stop for as long as the block has lasted."""
     node = host_rig(client, "realtime", daq__rate_hz=1000, daq__block_scans=10_000)
     client.wait_active("rig")
     session = node._session

@@ -262,7 +262,7 @@ def test_the_speed_at_which_a_barrier_yields_is_the_documented_one():
 
 
 def test_a_contact_does_not_depend_on_the_previous_one():
-    """The pull of the columns that one had been integrated with once stayed for the next."""
+    """Each contact must use the pull of its own columns, not that of the previous contact."""
     force = from_config(RigConfig().contact).force(ContactPair(1.0, 1.0))
     contacts = outcome.Contacts(unit_parameters(force), compiled_force(force.function))
     before = contacts.rebound_squared(0.05)

@@ -78,7 +78,7 @@ def test_contacts_of_hertz_lose_no_energy():
 @pytest.mark.parametrize("before", ["prescribed", "current", "voltage"])
 @pytest.mark.parametrize("after", ["prescribed", "current", "voltage"])
 def test_a_change_of_the_kind_of_drive_keeps_no_state_of_the_previous_one(before, after):
-    """A coil fed with current once kept, and stored the energy of, what its contacts under voltage had left behind."""
+    """A coil fed with current must not keep the current and the energy that a voltage has left in it."""
     amplitude = {"prescribed": 3e-4, "current": 0.52, "voltage": 5.0}
     changed, fresh = (
         Simulation(rig(drive={"kind": kind}, barriers={"gap_m": 2e-3}), account=True) for kind in (before, after)

@@ -88,7 +88,7 @@ def test_a_drive_is_continuous_except_where_a_chirp_restarts(waveform):
     )
 )  # fmt: skip
 def test_commands_and_a_drifting_clock_cause_no_jump(waveform, changes):
-    """A chirp once went on, after each of them, from the phase that a sine would have had."""
+    """A chirp must continue after each of them from its own phase, not from that of a sine."""
     made = generator(waveform=waveform, ramp_s=0.1)
     rows = [made.segments(3)]
     for frequency, amplitude, ppm, ticks in changes:

@@ -116,7 +116,7 @@ def test_the_free_decay_of_the_locked_rig_is_the_closed_form(zeta):
     config = rig(structure={"damping_ratio": zeta}, sphere={"present": False})
     simulation = Simulation(config)
     simulation.pluck(5e-3)
-    motion = simulation.advance(sine(9.1, 0.5, 0.01, 500))  # a locked base does not hear the drive
+    motion = simulation.advance(sine(9.1, 0.5, 0.01, 500))  # the drive does not move a locked base
     t = 0.01 * np.arange(500)
     omega = TWO_PI * 9.105
     omega_d = omega * math.sqrt(1.0 - zeta**2)
@@ -129,7 +129,7 @@ def test_the_free_decay_of_the_locked_rig_is_the_closed_form(zeta):
 def test_a_locked_rig_adopts_a_new_configuration():
     """It decays as the new structure does, and its sphere begins at the new wall.
 
-    Before, only `config` showed the change: structure, gap and law stayed those of the pluck until the reset.
+    Structure, gap and law must not stay those of the pluck until the reset.
     """
     simulation = Simulation(rig(sphere={"present": False}))
     simulation.pluck(5e-3)
@@ -150,7 +150,7 @@ def test_a_locked_rig_adopts_a_new_configuration():
 
 
 def test_a_restored_state_without_a_sphere_has_no_friction():
-    """Once the guide's friction then pushed the structure to one side, and was booked as a loss."""
+    """Otherwise, the friction of the guide would push the structure to one side and count as a loss."""
     simulation = Simulation(rig(sphere={"present": False, "guide_friction": 0.3}), account=True)
     simulation.advance(sine(9.1, 0.5, 0.01, 37))
     twin = simulation.copy()

@@ -174,7 +174,7 @@ def test_instants_outside_the_motion_are_rejected():
 
 
 def test_motions_of_one_simulation_are_independent():
-    """They share their scratch memory: asked in turn they say what each says alone."""
+    """They share their scratch memory, so alternate queries must return the same as separate ones."""
     simulation = Simulation(CONFIGS["current"])
     simulation.place(x_1=-4e-3, d_rate=0.1)
     drive = sine(9.1, AMPLITUDES["current"], TICK_S, 2 * SEGMENTS)
@@ -253,7 +253,7 @@ def test_an_incomplete_cycle_has_no_fundamental(turns):
 
 @pytest.mark.parametrize("law", ["kelvin_voigt", "walton_braun"])
 def test_a_step_of_a_contact_is_one_polynomial_to_a_millionth(law):
-    """Its time was once solved for and then thrown away where it was exact: up to a hundredth of the peak was wrong."""
+    """A solution for the time that is already exact must be used; otherwise, a hundredth of the peak would be wrong."""
     config = rig(contact={"law": law}, sphere={"start": "centre"}, barriers={"gap_m": 6e-3})
     motion = Simulation(config).advance(sine(9.1, 2.0, 0.01, 100))
     tick, offset = motion.breakpoints()

@@ -99,12 +99,12 @@ def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
 
 
 def test_impacts_under_noise_agree_with_an_independent_integration():
-    """DOP853 with events at 1e-11 from sample to sample, the contacts' force as the paper writes it.
+    """The reference is DOP853 with events at 1e-11 from sample to sample, and the contact force of the paper.
 
-    They may differ as much as a relative change of 1e-7 of the drive makes of ours: slow impacts magnify what the two
-    round otherwise, and the integration rounds by the CPU. So do the first 44 of ten seconds. The last of them, at
-    0.6 mm/s, ends otherwise here and there: ours when its force does, the integration's when the indentation is gone,
-    and the structure comes after the sphere meanwhile.
+    The instants may differ by as much as a relative change of the drive by 1e-7 changes ours: slow impacts magnify
+    rounding errors, and those of the reference depend on the CPU. The first 44 impacts of ten seconds agree within
+    this bound. The last of them, at 0.6 mm/s, ends differently: ours ends with the force, that of the reference with
+    the indentation, and the structure follows the sphere meanwhile.
     """
     rate_hz, seconds = 500, 10
     config = rig(drive={"waveform": "stream", "stream_rate_hz": rate_hz}, sphere={"start": "centre"})

@@ -92,7 +92,7 @@ class Bench:
         tables = self._streams.tables()[-1:]
         return float(tables[0].rows[name][0]) if tables else 0.0
 
-    def told(self, key: str) -> int:
+    def count_entries(self, key: str) -> int:
         """Return how often the journal contains the stream's `begin` or `end`."""
         return sum(entry.kind is InputKind.STREAM and entry.name == key for entry in self._journal.entries())
 
@@ -102,14 +102,14 @@ class Bench:
     @contextlib.contextmanager
     def controller(self, name: str) -> Iterator[None]:
         """Start a controller, wait until its samples take effect, and finally kill it and wait until they end."""
-        begun, ended = self.told("begin"), self.told("end")
+        begun, ended = self.count_entries("begin"), self.count_entries("end")
         environment = {"PYTHONPATH": str(EXAMPLES)}
         self.processes.start(name, command=[sys.executable, "-c", CONTROLLER, name], environment=environment)
-        self.wait(lambda: self.told("begin") > begun, f"samples of {name}")
+        self.wait(lambda: self.count_entries("begin") > begun, f"samples of {name}")
         yield
         self.processes.running[name].signal(signal.SIGKILL)
         self.processes.stop(name)
-        self.wait(lambda: self.told("end") > ended and self.state("buffered") == 0, f"the end of {name}")
+        self.wait(lambda: self.count_entries("end") > ended and self.state("buffered") == 0, f"the end of {name}")
         self.wait(lambda: "did not arrive in time" in self.client.status("rig").message, "the warning")
 
 
@@ -157,13 +157,13 @@ def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path
     assert found["current_error"] < 0.05
     with open_run(tmp_path / "run") as run:
         assert run.holds("shaker/waveform")
-    bench.wait(lambda: bench.told("end") == bench.told("begin") == 1, "the end of the stream")
+    bench.wait(lambda: bench.count_entries("end") == bench.count_entries("begin") == 1, "the end of the stream")
 
 
 def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_again(bench: Bench) -> None:
     """The recorder is stopped together with the controller; at the end of this file, it must have every block."""
     with bench.controller("feedback"):
-        late, begun, process = bench.state("late"), bench.told("begin"), bench.processes.running["feedback"]
+        late, begun, process = bench.state("late"), bench.count_entries("begin"), bench.processes.running["feedback"]
         recorder = bench.processes.running["recorder"]
         for one in (process, recorder):
             one.signal(signal.SIGSTOP)
@@ -173,7 +173,7 @@ def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_ag
         for one in (recorder, process):
             one.signal(signal.SIGCONT)
         bench.wait(lambda: bench.state("late") > late, "answers to what it missed, which is past")
-        bench.wait(lambda: bench.told("begin") > begun, "samples again")
+        bench.wait(lambda: bench.count_entries("begin") > begun, "samples again")
 
 
 def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_fast(bench: Bench) -> None:
@@ -184,10 +184,10 @@ def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_
 
 
 def test_a_controller_ten_times_too_slow_is_followed_only_at_times(bench: Bench) -> None:
-    begun, ended = bench.told("begin"), bench.told("end")
+    begun, ended = bench.count_entries("begin"), bench.count_entries("end")
     with bench.controller("slow"):
-        bench.wait(lambda: bench.told("begin") >= begun + 5, "five blocks")
-        assert bench.told("end") >= ended + 4
+        bench.wait(lambda: bench.count_entries("begin") >= begun + 5, "five blocks")
+        assert bench.count_entries("end") >= ended + 4
 
 
 def test_the_recording_of_all_controllers_is_complete_and_verified(bench: Bench) -> None:

@@ -81,7 +81,7 @@ def test_a_command_to_a_dead_rig_fails_and_does_not_move_a_later_rig(driven: tup
 def test_a_client_that_waits_while_another_rig_starts_gets_an_error(driven: tuple[Client, Processes]) -> None:
     """The rig is replaced within two seconds: the command belongs to the first rig, and its sender gets an error."""
     client, processes = driven
-    client.given("nothing")  # it was there a moment ago
+    client.given("nothing")  # the rig was alive a moment ago
     processes.start("rig")
     with pytest.raises(RigGoneError, match="is gone"):
         client.command(current_a=0.5)

@@ -71,7 +71,7 @@ def test_a_hostile_recording_costs_little_and_is_rejected_in_one_line(
     victim.write_bytes(TOOL["VICTIM"])
     path = RECORDINGS[what](tmp_path)
     cost = programs.cost(TOOL["words"](command, path, tmp_path), tmp_path)
-    kept = command == "recover" and what == "9 MB metadata.yaml"  # what metadata.yaml says is not needed there
+    kept = command == "recover" and what == "9 MB metadata.yaml"  # metadata.yaml is not needed there
     expected = 1 if what in REFUSED else 0
     assert cost.faults(INCOMPLETE if kept else expected) == [], cost.output
     assert cost.peak_mb <= TOOL["MEMORY_LIMIT_MB"]

@@ -153,7 +153,7 @@ def test_rosbags_and_mcap_ros2_decode_every_message_type_identically(tmp_path, e
             decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
             by_mcap += [(c.topic, m.log_time, m.data, message) for _, c, m, message in decoded]
     assert {name for name, *_ in by_rosbags} == {"/rig/daq/scan", *every_type.TYPES}
-    # equal times may come in either order
+    # equal times may be in either order
     by_rosbags.sort(key=lambda message: message[:3])
     by_mcap.sort(key=lambda message: message[:3])
     assert [m[:3] for m in by_rosbags] == [m[:3] for m in by_mcap]

@@ -110,7 +110,7 @@ def test_a_change_that_is_reverted_before_the_next_tick_has_no_effect() -> None:
 def test_the_memory_of_the_rig_is_bounded() -> None:
     """The rig forgets blocks that it has returned: nothing in it grows with its running time."""
     rig = Rig(config(output__truth_scan=True))
-    rig.advance(100 * TICK)  # whatever is made once
+    rig.advance(100 * TICK)  # allocations that happen only once
     handed_out = sum(block.scan.rows.nbytes + block.truth.rows.nbytes for block in rig.advance(200 * TICK))
     assert growth(lambda: rig.advance(500 * TICK)) < handed_out / 20
 

@@ -110,7 +110,7 @@ def test_masses_are_those_of_the_configuration_and_links_follow_the_joint_states
     path = tmp_path / "rig.urdf"
     path.write_text(robot_description(configuration), encoding="utf-8")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what other people's programs say about Python and one another
+        warnings.simplefilter("ignore")  # warnings of other programs about Python and one another
         masses, places = PARSERS[parser](path.read_text(encoding="utf-8"), path)
         shaker, sphere = configuration.shaker, configuration.sphere
         expected = {
@@ -179,15 +179,15 @@ def test_the_inertia_of_the_plate_follows_its_length() -> None:
     link = tree(barriers__gap_m=0.2).find("link[@name='superior_base']")
     assert link is not None
 
-    def said(where: str, key: str) -> str:
+    def attribute(where: str, key: str) -> str:
         found = link.find(where)
         assert found is not None
         return found.get(key, "")
 
-    length, width, _ = map(float, said("visual/geometry/box", "size").split())
+    length, width, _ = map(float, attribute("visual/geometry/box", "size").split())
     assert length > 0.2
-    expected = float(said("inertial/mass", "value")) * (length * length + width * width) / 12.0
-    assert float(said("inertial/inertia", "izz")) == pytest.approx(expected, rel=1e-9)
+    expected = float(attribute("inertial/mass", "value")) * (length * length + width * width) / 12.0
+    assert float(attribute("inertial/inertia", "izz")) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_file_describes_the_nominal_rig() -> None:

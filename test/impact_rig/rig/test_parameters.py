@@ -55,14 +55,14 @@ def test_any_change_of_parameters_is_accepted_or_rejected_as_a_unit(hammered: Ri
             taken = WORDS.get(values[name], values[name]) if isinstance(value, bool) else values[name]
             expected = type(taken)(value) if isinstance(taken, float | str) else value  # a text may look like a number
             assert taken == expected
-    # put back: a rig that is slow by right, with a shaker at MHz, would slow down all that come after
+    # restore: a valid but slow rig, with a shaker at MHz, would slow down all later examples
     default = to_flat(config())
     hammered.configure({name: default[name] for name in changes if name in default})
     hammered.take_journal()
 
 
 def test_two_opposite_changes_at_one_instant_both_take_effect() -> None:
-    """The second change takes back the first, so no value differs in the end, but the sphere was put to its start."""
+    """The second change reverts the first, so no value differs in the end, but the sphere was put to its start."""
     rig = Rig(config(drive__amplitude=0.52, barriers__gap_m=0.006))
     blocks = rig.advance(300 * TICK)
     rig.configure({"barriers.gap_m": 0.004, "contact.law": "hunt_crossley"})

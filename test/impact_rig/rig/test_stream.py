@@ -216,7 +216,7 @@ def test_a_stop_drops_buffered_samples_and_rejects_further_ones():
     assert rig.blocks_with_samples(7) == 7, "a stopped rig waits for no samples"
 
 
-def test_the_interlock_sees_what_lies_between_its_samples():
+def test_the_interlock_covers_the_current_between_its_samples():
     """A current that is zero at every millisecond still has an rms of 7.4 A."""
     rig = stream_rig(shaker__current_limit_a_rms=6.0, sphere__present=False)
     number = np.arange(20_000)

@@ -123,7 +123,7 @@ def test_a_journal_is_exported_with_one_row_per_entry(tmp_path, is_table):
 
 @pytest.mark.parametrize("former", ["curve", "held", "locked"])
 def test_sweeps_of_earlier_versions_are_exported(former, tmp_path):
-    """They had a topic each; in this version, `sweep/table` contains all of them."""
+    """Each kind of sweep has its own topic there; in this version, `sweep/table` contains all of them."""
     rows = np.zeros(2, TRANSMISSIBILITY)
     rows["frequency"] = [9.0, 9.1]
     name = f"transmissibility/{former}"

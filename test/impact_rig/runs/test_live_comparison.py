@@ -41,7 +41,7 @@ AGAIN = (200, 400, 600, 800)
 
 
 @pytest.fixture(scope="module")
-def whole() -> Messages:
+def complete_run() -> Messages:
     return messages()
 
 
@@ -93,15 +93,15 @@ def scaled(by: float) -> Callable[[np.ndarray], np.ndarray]:
     return change
 
 
-def test_the_same_data_on_the_same_machine_yield_the_same_bits(whole: Messages, tmp_path: Path) -> None:
-    found = compared(tmp_path, whole)
+def test_the_same_data_on_the_same_machine_yield_the_same_bits(complete_run: Messages, tmp_path: Path) -> None:
+    found = compared(tmp_path, complete_run)
     assert (found.same, found.identical, found.elsewhere) == (True, True, False)
-    assert (found.compared, found.left_out[0]) == (live_rows(whole), 0)
+    assert (found.compared, found.left_out[0]) == (live_rows(complete_run), 0)
     assert "bit for bit" in str(found)
 
 
-def test_one_bit_on_the_same_machine_is_a_difference(whole: Messages, tmp_path: Path) -> None:
-    found = compared(tmp_path, edited(whole, TABLE, scaled(1.0 + 1e-15)))
+def test_one_bit_on_the_same_machine_is_a_difference(complete_run: Messages, tmp_path: Path) -> None:
+    found = compared(tmp_path, edited(complete_run, TABLE, scaled(1.0 + 1e-15)))
     assert found.same is False
     assert "transmissibility at" in found.reason
 
@@ -109,7 +109,7 @@ def test_one_bit_on_the_same_machine_is_a_difference(whole: Messages, tmp_path: 
 @pytest.mark.parametrize(("by", "same"), [(1.0 + 1e-12, True), (1.0 + 1e-8, False)])
 @pytest.mark.parametrize("known", [True, False], ids=["other machine", "unknown machine"])
 def test_results_of_another_machine_agree_to_a_billionth_and_are_marked(
-    whole: Messages, tmp_path: Path, by: float, same: bool, known: bool
+    complete_run: Messages, tmp_path: Path, by: float, same: bool, known: bool
 ) -> None:
     def elsewhere(rows: np.ndarray) -> np.ndarray:
         if not known:
@@ -117,7 +117,7 @@ def test_results_of_another_machine_agree_to_a_billionth_and_are_marked(
         rows["value"][rows["key"] == b"machine"] += 1
         return rows
 
-    found = compared(tmp_path, edited(edited(whole, "analysis/settings", elsewhere), TABLE, scaled(by)))
+    found = compared(tmp_path, edited(edited(complete_run, "analysis/settings", elsewhere), TABLE, scaled(by)))
     assert (found.same, found.identical, found.elsewhere) == (same, False, True if known else None)
     if same:
         assert "equal to the live results to 1e-09, not bit for bit" in str(found)
@@ -126,9 +126,9 @@ def test_results_of_another_machine_agree_to_a_billionth_and_are_marked(
 
 @pytest.mark.parametrize("late", [30, 160, 333], ids=lambda blocks: f"{blocks} blocks")
 def test_a_run_of_a_late_recorder_is_compared_from_the_first_shared_change(
-    whole: Messages, tmp_path: Path, late: int
+    complete_run: Messages, tmp_path: Path, late: int
 ) -> None:
-    """The first change that both saw is a command; before it, live had waited since 0.07 s, the file since 0 s."""
+    """The first change that both received is a command; before it, their waits started at 0.07 s and at 0 s."""
     data = messages(again=AGAIN)
     part = [(name, table) for name, table in data if name not in ("daq/scan", TABLE) or table.stamp_ns >= late * TICK]
     found = compared(tmp_path, part)
@@ -187,30 +187,32 @@ def test_an_analysis_that_was_stopped_for_a_while_is_compared_where_it_had_scans
     assert found.compared > 0
 
 
-def test_results_of_the_previous_run_are_not_compared(whole: Messages, tmp_path: Path) -> None:
+def test_results_of_the_previous_run_are_not_compared(complete_run: Messages, tmp_path: Path) -> None:
     """A campaign's rig starts each run at 0 s again, and a latched topic gives a recorder the earlier results."""
-    before = [(name, attrs.evolve(table, stamp_ns=table.stamp_ns + 1)) for name, table in whole if "table" in name]
+    before = [
+        (name, attrs.evolve(table, stamp_ns=table.stamp_ns + 1)) for name, table in complete_run if "table" in name
+    ]
     assert before
-    assert compared(tmp_path, before + whole).identical
+    assert compared(tmp_path, before + complete_run).identical
 
 
-def test_a_recording_without_a_live_measurement_is_not_called_identical(whole: Messages, tmp_path: Path) -> None:
+def test_a_recording_without_a_live_measurement_is_not_called_identical(complete_run: Messages, tmp_path: Path) -> None:
     """The recorder started after the last measurement: only an earlier latched table is in the run."""
-    (last,) = [table for name, table in whole if name == TABLE][-1:]
+    (last,) = [table for name, table in complete_run if name == TABLE][-1:]
     early = (TABLE, attrs.evolve(last, stamp_ns=0))
-    scans = [one for one in whole if one[0] != TABLE]
+    scans = [one for one in complete_run if one[0] != TABLE]
     found = compared(tmp_path, [early, *scans])
     assert found.same is None
     assert "nothing to compare with" in str(found)
 
 
 def test_the_command_reports_the_result_and_returns_its_code(
-    whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    complete_run: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    assert main(["analyze", str(record(tmp_path / "run", whole))]) == 0
+    assert main(["analyze", str(record(tmp_path / "run", complete_run))]) == 0
     assert "identical to the live results: " in capsys.readouterr().out
-    other = record(tmp_path / "other", edited(whole, TABLE, scaled(2.0)))
+    other = record(tmp_path / "other", edited(complete_run, TABLE, scaled(2.0)))
     assert main(["analyze", str(other)]) == 1
     assert "not identical to the live results: transmissibility at" in capsys.readouterr().out
 
@@ -323,39 +325,45 @@ def without(rows: np.ndarray, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("what", HOSTILE)
 def test_a_table_of_another_version_or_with_invalid_numbers_is_rejected_in_one_line(
-    whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, what: str
+    complete_run: Messages,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    what: str,
 ) -> None:
     topic, change, said = HOSTILE[what]
     monkeypatch.setenv("COLUMNS", "300")
-    assert main(["analyze", str(record(tmp_path / "run", edited(whole, topic, change)))]) == 1
+    assert main(["analyze", str(record(tmp_path / "run", edited(complete_run, topic, change)))]) == 1
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
 
 
-def test_invalid_settings_of_another_publisher_are_ignored(whole: Messages, tmp_path: Path) -> None:
+def test_invalid_settings_of_another_publisher_are_ignored(complete_run: Messages, tmp_path: Path) -> None:
     """The settings have an unknown key, or lack a column: those of the analysis are still used."""
-    own = next(message for message in whole if message[0] == "analysis/settings")
+    own = next(message for message in complete_run if message[0] == "analysis/settings")
     foreign = [
         edited([own], "analysis/settings", change)[0]
         for change in (lambda rows: value(rows, "key", b"unheard"), lambda rows: without(rows, "key"))
     ]
-    for place in (0, len(whole)):
-        found = compared(tmp_path / f"{place}", [*whole[:place], *foreign, *whole[place:]])
+    for place in (0, len(complete_run)):
+        found = compared(tmp_path / f"{place}", [*complete_run[:place], *foreign, *complete_run[place:]])
         assert (found.same, found.identical) == (True, True)
 
 
-def test_a_measurement_of_an_older_version_with_fewer_columns_is_compared(whole: Messages, tmp_path: Path) -> None:
+def test_a_measurement_of_an_older_version_with_fewer_columns_is_compared(
+    complete_run: Messages, tmp_path: Path
+) -> None:
     for column in ("spread", "regime"):
-        older = edited(whole, TABLE, lambda rows, column=column: without(rows, column))
-        assert compared(tmp_path / column, older).same is False  # the live row does not say it
+        older = edited(complete_run, TABLE, lambda rows, column=column: without(rows, column))
+        assert compared(tmp_path / column, older).same is False  # the live row lacks the column
 
 
-def test_a_restarted_analysis_is_compared_until_its_first_end(whole: Messages, tmp_path: Path) -> None:
+def test_a_restarted_analysis_is_compared_until_its_first_end(complete_run: Messages, tmp_path: Path) -> None:
     """The restarted analysis labels what it will receive from stamp 0 on, which must not label the rows before it."""
     killed_ns, again_ns = 11 * NS_PER_S, 11_500_000_000
     found: Messages = []
-    for name, table in whole:
+    for name, table in complete_run:
         if name == TABLE and table.stamp_ns > killed_ns:
             continue
         if name == "daq/scan" and table.stamp_ns == again_ns:
@@ -366,10 +374,10 @@ def test_a_restarted_analysis_is_compared_until_its_first_end(whole: Messages, t
     assert result.compared == live_rows(found)
 
 
-def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Messages, tmp_path: Path) -> None:
+def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(complete_run: Messages, tmp_path: Path) -> None:
     """Rows of two labs in one namespace have no gap; a restarted lab does not label the time before."""
     found: Messages = []
-    for name, table in whole:
+    for name, table in complete_run:
         for second, gap_m, started_s in ((3, 0.006, 2.0), (5, 0.010, 1.0), (7, 0.002, 2.0)):
             if name == "daq/scan" and table.stamp_ns == second * NS_PER_S:
                 found.append(("analysis/settings", settings_table(TrackerSettings(), gap_m, table.stamp_ns, started_s)))
@@ -383,9 +391,9 @@ def test_two_analyses_that_label_one_run_in_turn_leave_its_gap_unknown(whole: Me
     assert "two analyses labelled this run at once" in str(comparison)
 
 
-def test_a_difference_in_any_column_of_a_row_is_found(whole: Messages) -> None:
+def test_a_difference_in_any_column_of_a_row_is_found(complete_run: Messages) -> None:
     """Here to the last bit, and on another machine beyond 1e-9: a word, a number, or a number instead of none."""
-    (row,) = next(table for name, table in whole if name == TABLE and table.rows["settled"][0] == 1).rows
+    (row,) = next(table for name, table in complete_run if name == TABLE and table.rows["settled"][0] == 1).rows
     for name in row.dtype.names:
         other = row.copy()
         is_text, is_none = row.dtype[name].kind == "S", row[name] != row[name]
@@ -395,9 +403,9 @@ def test_a_difference_in_any_column_of_a_row_is_found(whole: Messages) -> None:
         assert reanalysis._different(row, other, exact=False) == name
 
 
-def test_a_label_before_the_first_scan_belongs_to_the_same_analysis(whole: Messages, tmp_path: Path) -> None:
+def test_a_label_before_the_first_scan_belongs_to_the_same_analysis(complete_run: Messages, tmp_path: Path) -> None:
     """The first job of the demo labels an analysis that has seen no scan: its stamp is 0, as at a start."""
-    place = next(place for place, (name, _) in enumerate(whole) if name == "analysis/settings")
-    result = compared(tmp_path, [*whole[: place + 1], whole[place], *whole[place + 1 :]])
+    place = next(place for place, (name, _) in enumerate(complete_run) if name == "analysis/settings")
+    result = compared(tmp_path, [*complete_run[: place + 1], complete_run[place], *complete_run[place + 1 :]])
     assert result.identical, str(result)
     assert result.left_out == (0, 0)

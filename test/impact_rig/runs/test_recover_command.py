@@ -31,7 +31,7 @@ def wide(monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
 
 
-def said(capsys):
+def printed(capsys):
     return " ".join(capsys.readouterr().out.split())
 
 
@@ -44,7 +44,7 @@ def test_a_truncated_file_is_reported_with_its_own_exit_code(record, tmp_path, c
     assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == INCOMPLETE
     with open_run(tmp_path / "out") as run:
         back = run.message_count
-    text = said(capsys)
+    text = printed(capsys)
     assert "RecoverReport(" not in text
     assert f"{back} messages saved; an unknown number of messages" in text
     assert "the file ends inside a record" in text
@@ -54,7 +54,7 @@ def test_a_truncated_file_is_reported_with_its_own_exit_code(record, tmp_path, c
     assert not found.intact
     assert found.verdict.startswith("recovered: every checksum fits, but an unknown number of messages")
     assert main(["info", str(tmp_path / "out")]) == 1
-    assert "recovered from run" in said(capsys)
+    assert "recovered from run" in printed(capsys)
 
 
 def test_messages_seconds_and_bytes_are_reported_per_file(record, tmp_path):
@@ -84,7 +84,7 @@ def test_an_intact_run_is_recovered_with_exit_code_zero_and_marked(record, tmp_p
     with record() as writer:
         sent = fill(writer, 10)
     assert main(["recover", str(writer.directory), str(tmp_path / "out")]) == 0
-    assert f"all {len(sent)} messages are saved" in said(capsys)
+    assert f"all {len(sent)} messages are saved" in printed(capsys)
     found = info(tmp_path / "out")
     assert found.intact
     assert found.recovered is not None

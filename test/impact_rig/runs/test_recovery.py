@@ -184,7 +184,7 @@ def check_never_wrong(path, out, sent, attachments, provenance):
     try:
         with open_run(path) as run:
             got = [key(m) for m in run.messages(recorded_order=True)]
-            assert got == sent  # a reader hands out all or says what is wrong
+            assert got == sent  # a reader returns all messages or reports the fault
             assert run.provenance in (provenance, {})
             assert run.attachments().items() <= attachments.items()
     except RecordingError:
@@ -245,7 +245,7 @@ def test_many_flipped_bits_and_overwritten_parts_yield_no_wrong_message(tmp_path
         (tmp_path / "damaged.mcap").write_bytes(damaged)
         args = (tmp_path / "damaged.mcap", tmp_path / f"out{case}", sent, attachments, provenance)
         back.append(check_never_wrong(*args))
-    assert sum(back) > cases  # the test would prove nothing if everything were refused
+    assert sum(back) > cases  # the test would prove nothing if every input were rejected
 
 
 def test_a_chunk_after_damage_of_any_length_is_found(tmp_path, monkeypatch):

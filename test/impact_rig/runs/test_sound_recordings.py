@@ -135,7 +135,7 @@ def test_a_recording_that_starts_during_a_session_spans_only_its_own_data(tmp_pa
     deeds = {5: lambda: rig.accept(frequency_hz=9.0, amplitude=0.5), 2_450: lambda: rig.accept(frequency_hz=9.6)}
     found = analysed(rig, 2_660, deeds)
     begun_ns = 240 * NS_PER_S
-    recorded = ("daq/scan", "transmissibility/table")  # what is not latched, or not part of a recording begun later
+    recorded = ("daq/scan", "transmissibility/table")  # not latched, or not part of a recording that starts later
     early = [one for one in found if one[1].stamp_ns < begun_ns and one[0] not in recorded]
     late = [one for one in found if one[1].stamp_ns >= begun_ns]
     directory = record(tmp_path / "run", [*early, *late])

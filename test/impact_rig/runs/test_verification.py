@@ -48,7 +48,7 @@ pytestmark = pytest.mark.heavy
 
 
 @pytest.fixture(scope="module")
-def whole() -> Messages:
+def complete_run() -> Messages:
     return messages()
 
 
@@ -57,19 +57,19 @@ def verdict(directory: Path, found: Messages) -> Verification:
         return verify(run)
 
 
-def test_a_run_agrees_with_its_journal_bit_for_bit(whole: Messages, tmp_path: Path) -> None:
+def test_a_run_agrees_with_its_journal_bit_for_bit(complete_run: Messages, tmp_path: Path) -> None:
     """With commands, changed mechanics, a fault and an emergency stop, every scan is re-simulated bit for bit."""
-    found = verdict(tmp_path, whole)
-    scans = sum(len(table.rows) for name, table in whole if name == "daq/scan")
+    found = verdict(tmp_path, complete_run)
+    scans = sum(len(table.rows) for name, table in complete_run if name == "daq/scan")
     assert found == Verification(True, scans)
 
 
-def test_a_run_of_a_late_recorder_can_be_verified(whole: Messages, tmp_path: Path) -> None:
-    late = [(name, table) for name, table in whole if name != "daq/scan" or table.stamp_ns >= 300 * TICK]
+def test_a_run_of_a_late_recorder_can_be_verified(complete_run: Messages, tmp_path: Path) -> None:
+    late = [(name, table) for name, table in complete_run if name != "daq/scan" or table.stamp_ns >= 300 * TICK]
     assert verdict(tmp_path, late).identical
 
 
-def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
+def test_one_changed_bit_is_named(complete_run: Messages, tmp_path: Path) -> None:
     """The message names topic, stamp, sample and both values."""
     number = iter(range(10**6))
 
@@ -78,20 +78,20 @@ def test_one_changed_bit_is_named(whole: Messages, tmp_path: Path) -> None:
             rows["laser"][45] = np.nextafter(rows["laser"][45], 1.0)
         return rows
 
-    found = verdict(tmp_path, edited(whole, "daq/scan", change))
+    found = verdict(tmp_path, edited(complete_run, "daq/scan", change))
     assert (found.identical, found.scans) == (False, 12_300)
-    true = next(table for name, table in whole if name == "daq/scan" and table.stamp_ns == 123 * TICK)
+    true = next(table for name, table in complete_run if name == "daq/scan" and table.stamp_ns == 123 * TICK)
     assert found.reason == (
         f"daq/scan at 1.230000000 s, sample 45, laser: logged {float(np.nextafter(true.rows['laser'][45], 1.0))!r}, "
         f"re-simulated {float(true.rows['laser'][45])!r}"
     )
 
 
-def test_a_changed_command_or_seed_is_found_where_it_takes_effect(whole: Messages, tmp_path: Path) -> None:
+def test_a_changed_command_or_seed_is_found_where_it_takes_effect(complete_run: Messages, tmp_path: Path) -> None:
     def command(entry: JournalEntry) -> JournalEntry:
         return attrs.evolve(entry, value=entry.value * 1.001) if entry.name == "current" else entry
 
-    found = verdict(tmp_path / "command", edited(whole, "rig/journal", command))
+    found = verdict(tmp_path / "command", edited(complete_run, "rig/journal", command))
     assert found.identical is False
     assert found.scans < 2_000
     assert "daq/scan at 0." in found.reason
@@ -99,13 +99,13 @@ def test_a_changed_command_or_seed_is_found_where_it_takes_effect(whole: Message
     def seed(entry: JournalEntry) -> JournalEntry:
         return attrs.evolve(entry, values=entry.values | {"daq.seed": 6}) if "daq.seed" in entry.values else entry
 
-    found = verdict(tmp_path / "seed", edited(whole, "rig/journal", seed))
+    found = verdict(tmp_path / "seed", edited(complete_run, "rig/journal", seed))
     assert (found.identical, found.scans) == (False, 0)
     assert "daq/scan at 0.000000000 s, sample 0" in found.reason
 
 
-def test_a_lost_block_is_a_difference(whole: Messages, tmp_path: Path) -> None:
-    found = verdict(tmp_path, [m for m in whole if not (m[0] == "daq/scan" and m[1].stamp_ns == 50 * TICK)])
+def test_a_lost_block_is_a_difference(complete_run: Messages, tmp_path: Path) -> None:
+    found = verdict(tmp_path, [m for m in complete_run if not (m[0] == "daq/scan" and m[1].stamp_ns == 50 * TICK)])
     assert (found.identical, found.scans) == (False, 5_000)
     assert "the block at 0.500000000 s is missing" in found.reason
 
@@ -121,14 +121,14 @@ def test_a_lost_block_is_a_difference(whole: Messages, tmp_path: Path) -> None:
     ids=["beginning", "middle", "none", "negative"],
 )
 def test_a_run_with_an_incomplete_journal_cannot_be_verified(
-    whole: Messages, tmp_path: Path, change: Callable[[JournalEntry], Any], reason: str
+    complete_run: Messages, tmp_path: Path, change: Callable[[JournalEntry], Any], reason: str
 ) -> None:
-    found = verdict(tmp_path, edited(whole, "rig/journal", change))
+    found = verdict(tmp_path, edited(complete_run, "rig/journal", change))
     assert found.identical is None
     assert reason in found.reason
 
 
-class _OfBefore(Provenance):
+class _OldProvenance(Provenance):
     """Provenance from a recorder that wrote no version of the arithmetic."""
 
     def to_record(self) -> dict[str, str]:
@@ -137,11 +137,11 @@ class _OfBefore(Provenance):
 
 @pytest.mark.parametrize(
     "provenance",
-    [attrs.evolve(PROVENANCE, arithmetic=1), _OfBefore(version="0", seed=5, wall_start_ns=0)],
+    [attrs.evolve(PROVENANCE, arithmetic=1), _OldProvenance(version="0", seed=5, wall_start_ns=0)],
     ids=["named", "unwritten"],
 )
 def test_a_run_of_another_arithmetic_is_not_called_different(
-    whole: Messages, tmp_path: Path, provenance: Provenance
+    complete_run: Messages, tmp_path: Path, provenance: Provenance
 ) -> None:
     """This version cannot compute its bits: a changed scan is not found, and nothing is called different."""
 
@@ -149,7 +149,7 @@ def test_a_run_of_another_arithmetic_is_not_called_different(
         rows["laser"][0] += 1e-6
         return rows
 
-    run = record(tmp_path / "run", edited(whole, "daq/scan", change), provenance)
+    run = record(tmp_path / "run", edited(complete_run, "daq/scan", change), provenance)
     with open_run(run) as opened:
         found = verify(opened)
     remedy = "verify it with the version of impact_rig that recorded it"
@@ -158,16 +158,16 @@ def test_a_run_of_another_arithmetic_is_not_called_different(
     assert str(found).startswith("not verifiable: recorded with arithmetic version 1")
 
 
-def test_a_run_of_another_recorder_is_verified_by_its_journal(whole: Messages, tmp_path: Path) -> None:
-    with open_run(record(tmp_path / "run", whole, None)) as opened:
+def test_a_run_of_another_recorder_is_verified_by_its_journal(complete_run: Messages, tmp_path: Path) -> None:
+    with open_run(record(tmp_path / "run", complete_run, None)) as opened:
         assert opened.provenance == {}
         assert verify(opened).identical
 
 
-def test_a_recovered_run_keeps_its_arithmetic(whole: Messages, tmp_path: Path) -> None:
-    old = _OfBefore(version="0", seed=5, wall_start_ns=0)
+def test_a_recovered_run_keeps_its_arithmetic(complete_run: Messages, tmp_path: Path) -> None:
+    old = _OldProvenance(version="0", seed=5, wall_start_ns=0)
     rescued = tmp_path / "rescued"
-    recover(record(tmp_path / "run", whole[:200], old), rescued)
+    recover(record(tmp_path / "run", complete_run[:200], old), rescued)
     with open_run(rescued) as opened:
         assert arithmetic_of(opened.provenance) == "1"
 
@@ -189,7 +189,7 @@ def test_data_that_a_killed_recorder_had_not_received_are_no_difference(tmp_path
     def killed(count: int) -> Verification:
         path = record(tmp_path / f"killed_{count}", lacking[: int(np.searchsorted(blocks, count)) + 1])
         (file,) = path.glob("*.mcap")
-        file.write_bytes(file.read_bytes()[:-20])  # as if the recorder had not come to its end
+        file.write_bytes(file.read_bytes()[:-20])  # as if the recorder had not finished
         recover(path, tmp_path / f"recovered_{count}")
         with open_run(tmp_path / f"recovered_{count}") as run:
             return verify(run)
@@ -217,7 +217,7 @@ def reset_rig() -> tuple[Messages, Messages, Messages]:
 
 
 def test_a_run_with_resets_is_verified_throughout(tmp_path: Path) -> None:
-    """The journal before the reset must be kept; without it, a sound run differs after no identical scan."""
+    """The journal before the reset must be kept; without it, a valid run would differ from the first scan on."""
     first, second, third = reset_rig()
     found = verdict(tmp_path / "whole", [*first, *second, *third])
     assert found == Verification(True, 3 * 30 * 100)
@@ -265,10 +265,10 @@ def test_a_block_withheld_by_a_fault_does_not_count_as_lost(tmp_path: Path) -> N
 
 
 def test_verify_analyze_info_and_export_accept_a_complete_run(
-    whole: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    complete_run: Messages, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "120")
-    run = str(record(tmp_path / "run", whole))
+    run = str(record(tmp_path / "run", complete_run))
     assert main(["verify", run]) == 0
     assert "identical: 120000 scans re-simulated bit for bit" in " ".join(capsys.readouterr().out.split())
     assert main(["analyze", run]) == 0
@@ -281,9 +281,9 @@ def test_verify_analyze_info_and_export_accept_a_complete_run(
     assert "holds no *.mcap file" in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_run_is_analysed_with_its_recorded_settings(whole: Messages, tmp_path: Path) -> None:
+def test_a_run_is_analysed_with_its_recorded_settings(complete_run: Messages, tmp_path: Path) -> None:
     """A run measured with other settings is analysed with them, and its label holds."""
-    with open_run(record(tmp_path / "run", whole)) as run:
+    with open_run(record(tmp_path / "run", complete_run)) as run:
         default = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
 
     def change(rows: np.ndarray) -> np.ndarray:
@@ -291,7 +291,7 @@ def test_a_run_is_analysed_with_its_recorded_settings(whole: Messages, tmp_path:
         rows["value"][rows["key"] == b"gap_m"] = 0.0004
         return rows
 
-    with open_run(record(tmp_path / "other", edited(whole, "analysis/settings", change))) as run:
+    with open_run(record(tmp_path / "other", edited(complete_run, "analysis/settings", change))) as run:
         other = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))
     assert default["gap"][0] == 0.0
     assert other["gap"][0] == 0.0004
@@ -299,12 +299,12 @@ def test_a_run_is_analysed_with_its_recorded_settings(whole: Messages, tmp_path:
     assert distortion[0] > distortion[1] == 0.0, "one harmonic knows no distortion"
 
 
-def test_tables_of_another_kind_are_not_taken_for_settings(whole: Messages, tmp_path: Path) -> None:
+def test_tables_of_another_kind_are_not_taken_for_settings(complete_run: Messages, tmp_path: Path) -> None:
     def change(rows: np.ndarray) -> np.ndarray:
         rows["key"][0] = b"unheard"
         return rows
 
-    assert main(["analyze", str(record(tmp_path / "run", edited(whole, "analysis/settings", change)))]) == 1
+    assert main(["analyze", str(record(tmp_path / "run", edited(complete_run, "analysis/settings", change)))]) == 1
 
 
 @pytest.fixture(scope="module")
@@ -395,7 +395,7 @@ def test_a_missing_or_invented_message_is_named(recorded, tmp_path: Path, topic:
     assert found.identical is False
     assert found.reason.startswith(f"{topic}: at ")
     assert "this journal does not lead to it" in found.reason
-    if topic not in ("truth/scan", "truth/joint_states"):  # how often those come is no part of a journal
+    if topic not in ("truth/scan", "truth/joint_states"):  # the journal does not determine their number
         found = verdict(tmp_path / "less", [*recorded[:place], *recorded[place + 1 :]])
         assert found.identical is False
         assert "is missing" in found.reason

@@ -57,7 +57,7 @@ def run(commands: str, folder: Path, project: Path = ROOT) -> subprocess.Complet
     )
 
 
-def says(output: str, line: str) -> bool:
+def output_contains(output: str, line: str) -> bool:
     """Return whether a line of the page is in the output: rules may be longer, numbers are cut, paths are absolute."""
     core = line.strip(" -")
     before, colon, path = core.partition("run: ")
@@ -76,7 +76,7 @@ def test_every_block_of_the_guide_works_as_written(tmp_path: Path) -> None:
             output_of_schedules = output if "schedules" in content else output_of_schedules
             assert (done.returncode != 0) == (info == "fails"), output
         elif language == "text":
-            missing = [line for line in content.splitlines() if not says(output, line)]
+            missing = [line for line in content.splitlines() if not output_contains(output, line)]
             assert missing == [], output
     assert commands == 6
     failed = sorted((tmp_path / "failed_runs").iterdir())

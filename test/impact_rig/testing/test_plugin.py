@@ -61,7 +61,7 @@ def test_all_public_names_of_the_package_can_be_imported() -> None:
 
 
 def test_the_rigs_of_a_test_have_different_names(request: pytest.FixtureRequest) -> None:
-    """They have a folder each; after one was closed, the next one must not have the name of one that still exists."""
+    """Each rig has a folder; after one is closed, the next one must not get the name of one that still exists."""
     started = plugin._starting(request, lambda name: LocalRig(name=name))
     start = next(started)
     first, second = start(), start()

@@ -148,7 +148,7 @@ class Receiver(Node):
             )  # fmt: skip
 
 
-def test_the_transport_delivers_what_the_middleware_delivers() -> None:
+def test_the_transport_delivers_the_same_messages_as_the_middleware() -> None:
     """Queues, late joiners and incompatible requests: 3 messages before a node joins, 12 while it is busy."""
     with LocalRigWithNodes(QUICK) as rig:
         for messages in (range(3), range(3, 15)):

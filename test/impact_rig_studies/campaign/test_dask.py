@@ -107,7 +107,7 @@ def test_a_worker_killed_halfway_loses_no_result(cluster, tmp_path, measured):
 
 
 def test_jobs_are_submitted_in_small_numbers_and_their_results_released(cluster, tmp_path):
-    """All were submitted before the first result was taken, and held to the end."""
+    """Otherwise, all jobs and all results would be in memory at once."""
     from distributed import Client
 
     address, workers = cluster

@@ -173,7 +173,7 @@ def test_studies_share_runs_with_equal_settings(tiny):
     assert [job.traces for job in jobs][:2] == [True, True]
 
 
-def test_a_trace_holds_scans_and_truth_of_the_same_instants(measured):
+def test_a_trace_contains_scans_and_truth_of_the_same_instants(measured):
     job, outcome = next(iter(measured.values()))
     trace = outcome.trace
     assert len(trace["time"]) == 5000
@@ -285,7 +285,7 @@ def test_an_interrupted_parallel_campaign_resumes_with_the_same_bits(tmp_path, m
     campaign, store = load_campaign(file), Store(directory)
     jobs = run.unique_jobs(campaign.planned())
     assert 1 <= len(kept) < len(jobs)
-    process = start(file, directory, "--check", environment=watched())  # no signal comes in its tracer's way
+    process = start(file, directory, "--check", environment=watched())  # no signal reaches its tracer
     output, _ = process.communicate(timeout=100)
     assert process.returncode == 1, "two points failed, and that was to be checked"
     assert output.splitlines()[-1] == str(directory), "the last line is the directory, for programs"
@@ -317,7 +317,7 @@ def test_an_invalid_argument_is_reported_in_one_line(tmp_path, capsys, arguments
 
 @pytest.mark.parametrize("first", [[], ["--only", "one"], ["--only", "two", "three"]])
 def test_running_a_part_of_a_campaign_keeps_all_earlier_results(tmp_path, capsys, monkeypatch, first):
-    """`--only` once cut points.csv from 243 points to 60, while the report kept them all."""
+    """`--only` must not remove the points of other studies from points.csv, because the report contains them."""
     studies = {"one": "{frequencies_hz: 9.1, gaps_m: none}", "two": "{frequencies_hz: [8.5, 9.8], gaps_m: none}"}
     studies["three"] = "{frequencies_hz: 9.1, gaps_m: none, seeds: [5]}"
     file, out = tmp_path / "three.yaml", tmp_path / "out"

@@ -64,12 +64,12 @@ def points():
     return {**found, **{(gap, 9.1): point(gap, 9.1) for gap in WIDE_M}}
 
 
-def words(points):
+def outcomes(points):
     return {verdict.name: verdict.word for verdict in judge(Curves.of(points.values()))}
 
 
 def test_all_seven_statements_hold_for_suitable_curves(points):
-    found = words(points)
+    found = outcomes(points)
     assert len(found) == 7
     assert set(found.values()) == {"pass"}, judge(Curves.of(points.values()))
 
@@ -90,18 +90,18 @@ def test_all_seven_statements_hold_for_suitable_curves(points):
 )
 def test_each_statement_fails_for_a_curve_that_violates_it(points, name, broken):
     changed = {**points, **{(gap, f): point(gap, f, **changes) for gap, f, changes in broken}}
-    assert words(changed)[name] == "FAIL"
+    assert outcomes(changed)[name] == "FAIL"
 
 
 @pytest.mark.parametrize("peak", [9.05, 9.10, 9.14])
 def test_a_small_shift_of_the_peak_counts_as_an_unchanged_natural_frequency(points, peak):
     moved = {**points, (0.010, peak): point(0.010, peak, transmissibility=5.0)}
-    assert words(moved)["natural_frequency_unchanged"] == "pass"
+    assert outcomes(moved)["natural_frequency_unchanged"] == "pass"
 
 
 def test_motions_without_impacts_are_not_evidence_of_an_optimum(points):
     quiet = {(gap, 9.1): point(gap, 9.1, impacts_per_cycle=0.0) for gap in WIDE_M}
-    assert words({**points, **quiet})["reduction_falls_beyond_optimal_gap"] == "not judged"
+    assert outcomes({**points, **quiet})["reduction_falls_beyond_optimal_gap"] == "not judged"
 
 
 @pytest.mark.parametrize("gone", [(0.0, 9.1), (0.004, 9.5), (0.002, 7.5)])
@@ -119,7 +119,7 @@ def test_the_peak_of_a_curve_is_interpolated_between_grid_points(points):
     assert peak_hz(Curves.of(points.values()), 0.0) == pytest.approx(9.105, abs=5e-4)
 
 
-# --- What a statement owes to the choice of constants ---
+# --- Dependence of a statement on the choice of constants ---
 def without_sphere(changes):
     """The ten points of a rig without the sphere, from the closed form."""
     rig, axes = from_flat(RigConfig(), changes), dict(changes)

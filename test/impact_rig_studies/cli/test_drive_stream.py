@@ -35,7 +35,7 @@ from impact_rig_studies.cli.parsers import SI
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
 
-def told(directory, name):
+def results_of(directory, name):
     with open_run(directory) as run:
         assert verify(run).identical
     page = (directory / f"{name}.html").read_text()
@@ -59,7 +59,7 @@ def test_the_current_follows_the_played_file(tmp_path, capsys):
     np.savez(tmp_path / "wave.npz", drive=wave, fs=1_000.0)
     given = ("drive", "play", tmp_path / "wave.npz", "--scan-rate", 2_000, "--clip", 0.3, "--json")
     assert run(*given, "--output", tmp_path / "run") == 0
-    found, page = told(tmp_path / "run", "play")
+    found, page = results_of(tmp_path / "run", "play")
     assert json.loads(capsys.readouterr().out)["seconds"] == found["seconds"] == pytest.approx(3.0)
     assert found["current_error"] < 0.05
     assert found["peak_asked"] == pytest.approx(0.3)
@@ -67,7 +67,7 @@ def test_the_current_follows_the_played_file(tmp_path, capsys):
     assert "samples clipped" in page
     # the run's own current, played again, is the current of the run
     assert run("drive", "play", tmp_path / "run", "--scan-rate", 2_000, "--output", tmp_path / "again") == 0
-    assert told(tmp_path / "again", "play")[0]["peak_asked"] == pytest.approx(0.3, abs=0.02)
+    assert results_of(tmp_path / "again", "play")[0]["peak_asked"] == pytest.approx(0.3, abs=0.02)
     assert run(*given, "--output", tmp_path / "run") == 1
     assert "nothing is overwritten" in capsys.readouterr().err
 
@@ -85,7 +85,7 @@ def test_names_that_are_not_valid_text_are_escaped_on_the_page(tmp_path):
 def test_a_frequency_response_is_reported_with_its_coherence(tmp_path):
     words = ("drive", "frf", "--gap", "none", "--kind", "chirp", "--frames", 3, "--frame-s", 4, "--high-hz", 30)
     assert run(*words, "--output", tmp_path / "run") == 0
-    found, page = told(tmp_path / "run", "frf")
+    found, page = results_of(tmp_path / "run", "frf")
     assert found["coherence_median"] > 0.99
     assert found["lines_coherent"] > 0.9 * found["lines"]
     assert len(found["table"]["real"]) == found["lines"]
@@ -98,12 +98,12 @@ def test_random_control_by_a_plan_reports_the_level_reached_before_an_abort(tmp_
     plan = tmp_path / "plan.yaml"
     plan.write_text("{frame_s: 1, loops: 2, frames: 4, averages: 4}")
     assert run("drive", "random", plan, "--gap", "none", "--output", tmp_path / "run") == 0
-    found, page = told(tmp_path / "run", "random")
+    found, page = results_of(tmp_path / "run", "random")
     assert len(found["rms_error_db"]) == 3
     assert found["clipped_samples"] >= 0
     assert "distortion" in page
     assert run("drive", "random", plan, "--gap", "none", "--abort", "base=0.4mm", "--output", tmp_path / "cut") == 1
-    found, page = told(tmp_path / "cut", "random")
+    found, page = results_of(tmp_path / "cut", "random")
     assert "aborted: base" in found["ended_early"]
     assert "Ended early: aborted" in page
 
@@ -115,7 +115,7 @@ def test_a_history_and_a_shock_are_reported_trial_by_trial(tmp_path):
     plan.write_text("{identify_s: 8, rest_s: 1, iterations: 2, high_hz: 60}")
     words = ("drive", "replicate", tmp_path / "hill.npz", "--plan", plan, "--gap", "none", "--scan-rate", 1_000)
     assert run(*words, "--output", tmp_path / "run") == 0
-    found, page = told(tmp_path / "run", "replicate")
+    found, page = results_of(tmp_path / "run", "replicate")
     assert found["error"] == pytest.approx(min(found["errors"]))
     assert found["error"] < 0.05
     assert "measured response function" in page
@@ -135,7 +135,7 @@ def test_an_interrupt_leaves_a_valid_run_and_a_page(tmp_path):
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=120)
     assert process.returncode == 128 + signal.SIGINT
-    found, page = told(tmp_path / "run", "random")
+    found, page = results_of(tmp_path / "run", "random")
     assert found["ended_early"] == "interrupted"
     assert len(found["rms_error_db"]) >= 2
     assert "Ended early: interrupted" in page

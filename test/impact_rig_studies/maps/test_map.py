@@ -104,7 +104,7 @@ def test_points_with_two_impacts_per_cycle_agree_with_the_prediction(small):
         (0.026, 9.595, 3),
         (0.008, 8.695, 4),
         (0.012, 9.115, 1),  # from cycle to cycle it changes little, and goes on to
-        (0.008, 9.565, 1),  # an impact comes as the cycle begins
+        (0.008, 9.565, 1),  # an impact occurs at the start of the cycle
     ],
 )
 def test_a_settled_point_agrees_with_a_long_motion(gap_m, frequency_hz, period):
@@ -287,7 +287,7 @@ def test_table_and_figures_are_written(small):
 
 
 def test_each_cell_of_a_map_has_the_colour_of_its_regime(small):
-    """Outlines of neighbouring regimes hid one another, and could not be seen on cells of a similar colour."""
+    """Outlines of neighbouring regimes would hide one another, and be invisible on cells of a similar colour."""
     done = run.open_map(small[1])
     up, _, _ = heat_maps(done)
     (cells,) = up._figure.axes[1].collections
@@ -296,7 +296,7 @@ def test_each_cell_of_a_map_has_the_colour_of_its_regime(small):
 
 
 def test_the_colours_of_regimes_differ_for_any_colour_vision():
-    """The lightness L* (CIE 1976) of two colours differs by 10 at least; two oranges were the same to some readers."""
+    """The lightness L* (CIE 1976) of any two colours differs by at least 10."""
     linear = [
         [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgba(one)[:3]]
         for _, one in REGIMES.values()
@@ -306,7 +306,7 @@ def test_the_colours_of_regimes_differ_for_any_colour_vision():
 
 
 def test_exponents_stay_in_the_results_of_a_later_command(tmp_path: Path) -> None:
-    """The same command without `--exponent` once dropped their columns and their number."""
+    """The same command without `--exponent` must not drop their columns."""
     path = written(tmp_path, "axes: {gap_m: [0.002, 0.006], frequency_hz: [9.1, 9.2]}\n")
     command = ["map", str(path), "--output", str(tmp_path / "done"), "--workers", "1", "--no-figures"]
     assert main([*command, "--exponent"]) == 0

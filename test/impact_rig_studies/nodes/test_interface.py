@@ -59,7 +59,7 @@ def test_every_field_of_a_message_has_unit_and_meaning_and_exists(topic: topics.
         value = messages.class_of(topic)()
         for part in re.sub(r"\[\d\]", "", field.name).split("."):
             value = value[0] if isinstance(value, list) and value else value
-            if isinstance(value, list):  # an empty list of messages: look at what it would hold
+            if isinstance(value, list):  # an empty list of messages: use the type of its elements
                 value = messages.class_of(by_name("/diagnostics"))
                 continue
             assert hasattr(value, part), f"{topic.name}: {field.name}"
@@ -234,11 +234,11 @@ def test_commands_are_accepted_or_rejected_in_each_situation_as_documented(
     before, applied = node.refusals.counts.total(), len(client.applied)
     client.publish(by_name(row.name), Float64(data=10.0))
 
-    def taken() -> bool:
+    def is_applied() -> bool:
         return any(table.rows[row.name[7:]][0] == 10.0 for table in client.applied.tables(applied))
 
-    client.wait_until(lambda: node.refusals.counts.total() > before or taken(), "an answer")
-    assert taken() == (situation in row.taken)
+    client.wait_until(lambda: node.refusals.counts.total() > before or is_applied(), "an answer")
+    assert is_applied() == (situation in row.taken)
     assert node.refusals.counts.total() - before == (situation not in row.taken)
 
 
@@ -265,11 +265,11 @@ def test_the_rig_distinguishes_readers_by_their_acknowledgements(client: Client)
         header.stamp.nanosec = scans.tables()[number].stamp_ns
         client.publish(topics.ACK, header)
 
-    def told() -> bool:
+    def is_reported() -> bool:
         node.report_now()
         return client.figures("rig").get("other_acks") == "2"
 
-    client.wait_until(told, "the acknowledgements")
+    client.wait_until(is_reported, "the acknowledgements")
     found = client.figures("rig")
     assert found["behind.client"] == "10"
     assert int(found["subscribers"]) == 1

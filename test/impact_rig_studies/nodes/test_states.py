@@ -129,13 +129,13 @@ def test_two_rigs_in_one_namespace_both_report_a_rival(client: Client) -> None:
         client.wait_until(lambda node=node: node.present().word == states.RigWord.RIVAL, "both to say so")
     said: set[str] = set()
 
-    def heard() -> bool:
+    def both_report_a_rival() -> bool:
         figures = client.figures("rig")
         if figures["state"] == "rival":
             said.add(figures["instance"])
         return len(said) == 2
 
-    client.wait_until(heard, "both to publish it")
+    client.wait_until(both_report_a_rival, "both to publish it")
 
 
 def host_analysis(client: Client) -> AnalysisNode:

@@ -99,7 +99,7 @@ def test_a_point_that_cannot_be_held_keeps_its_error():
 def test_a_skipped_point_uses_no_corrections_of_the_next():
     """The next point must have all of its corrections, not the rest of the previous point's."""
 
-    class Loud(Bench):
+    class OverRangeOnce(Bench):
         def rows(self, topic):
             rows = super().rows(topic)
             row = rows[0]
@@ -107,7 +107,9 @@ def test_a_skipped_point_uses_no_corrections_of_the_next():
                 row["status"], row["settled"] = Status.OVER_RANGE.value, 0.0
             return rows
 
-    sweep = walked(Loud(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1))
+    sweep = walked(
+        OverRangeOnce(), attrs.evolve(PLAN, direction="up", current_a=0.1), attrs.evolve(HELD, corrections=1)
+    )
     assert sweep.skipped == [8.0]
     assert sweep.controlled["frequency"].tolist() == [9.0]
     assert sweep.controlled["corrections"].tolist() == [1.0]

@@ -76,7 +76,7 @@ def test_reductions_are_drawn_over_the_restitution(done, drawn):
 
 
 def test_the_legend_lists_each_case_once_and_labels_are_within_the_figure(done, monkeypatch):
-    """Each gap was listed twice, and the long legend pushed a label over the edge of the figure."""
+    """A legend that lists each gap twice would push a label over the edge of the figure."""
     figures = []
     monkeypatch.setattr(dt, "Drawn", lambda _name, figure, _caption, _lines: figures.append(figure))
     with style():
