@@ -26,7 +26,11 @@ from impact_rig.rig.config import RigConfig, load_config
 
 
 def run_daqmx(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig daqmx`: serve the rig to scripts until a signal ends the program."""
+    """Run `impact-rig daqmx`: serve the rig to scripts until a signal ends the program, with exit code 0.
+
+    Raises:
+        ImpactRigError: options contradict each other, or the server cannot listen on the address.
+    """
     from impact_rig.driver import daqmx_board, daqmx_server  # noqa: PLC0415  # load compiled code
 
     if not 0 <= arguments.port <= 65535:

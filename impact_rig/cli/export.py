@@ -38,10 +38,6 @@ GROUP = "impact_rig.exporters"
 """Entry points through which packages contribute exporters of their own directories, each an `Exporter`."""
 
 
-def _exporters() -> Iterator[Exporter]:
-    return (one.load() for one in metadata.entry_points(group=GROUP))
-
-
 def run_export(arguments: argparse.Namespace) -> int:
     """Run `impact-rig export`: write the requested table to a file, print its path and return exit code 0.
 
@@ -50,7 +46,8 @@ def run_export(arguments: argparse.Namespace) -> int:
         RecordingError: the file cannot be written, or the run cannot be read.
     """
     path, target = arguments.path, arguments.target
-    tables = next((found for exporter in _exporters() if (found := exporter(path)) is not None), None)
+    exporters: Iterator[Exporter] = (one.load() for one in metadata.entry_points(group=GROUP))
+    tables = next((found for exporter in exporters if (found := exporter(path)) is not None), None)
     if tables is not None:
         table = tables.get(arguments.topic)
         if table is None:

@@ -110,12 +110,18 @@ GROUP = "impact_rig.analyses"
 
 
 class Analysis(NamedTuple):
-    """Analysis of a recorded run that an option of `impact-rig analyze` selects instead of the usual one."""
+    """Analysis of a recorded run that an option of `impact-rig analyze` selects instead of the usual one.
 
-    name: str  # name of its option, without the dashes
-    # function that adds the option; its default is None or False
+    Attributes:
+        name: name of its option, without the dashes.
+        add: function that adds the option, whose default must be None or False.
+        run: function that analyses a run, prints the result and returns the exit code, as `module:function`. It is
+            called with the console, the opened run and the parsed arguments.
+    """
+
+    name: str
     add: Callable[[argparse._MutuallyExclusiveGroup], object]
-    run: str  # `module:function` that analyses a run with console and arguments, prints, and returns the exit code
+    run: str
 
 
 def analyses() -> Iterator[Analysis]:

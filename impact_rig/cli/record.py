@@ -20,6 +20,7 @@ import contextlib
 import math
 from collections.abc import Generator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -37,6 +38,9 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.states import Status
 from impact_rig.system.endings import defer_signals
+
+if TYPE_CHECKING:
+    from impact_rig.analysis.uncertainty_budget import Budget
 
 SCANS_TIMEOUT_S = 30.0  # largest wall time of a rig for one block of scans
 NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is not printed
@@ -65,9 +69,9 @@ def run_record(arguments: argparse.Namespace) -> int:
         if not directory.exists():
             raise interrupted or ImpactRigError(early)
         found = _measured(directory)
-        missing = "" if found.rows.size else _why_nothing(found, done_s, early)
-        if found.rows.size:
-            _print(console, found)
+        missing = _why_nothing(found, done_s, early) if found.budget is None else ""
+        if found.budget is not None:
+            _print(console, found, found.budget)
         for line in [missing, f"ended early: {early}" if early else ""]:
             if line:
                 console.print(line, style="red")
@@ -135,15 +139,23 @@ def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, direc
 
 @attrs.frozen(eq=False)
 class RunMeasurements:
-    """Measurements of a recorded run, found by analysing it again, and its calibration."""
+    """Measurements of a recorded run, found by analysing it again.
 
-    everything: NDArray[np.void]  # rows of `transmissibility/table`
-    rows: NDArray[np.void]  # settled rows at the last frequency and gap
-    info: NDArray[np.void]  # rows of `daq/info`
+    Attributes:
+        everything: all rows of `transmissibility/table`.
+        rows: those of them that are settled, at the frequency and gap of the last settled one; empty if there is none.
+        budget: mean DT of `rows` with its uncertainty; None without rows.
+    """
+
+    everything: NDArray[np.void]
+    rows: NDArray[np.void]
+    budget: Budget | None
 
 
 def _measured(directory: Path) -> RunMeasurements:
-    from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
+    from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
+    from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
+    from impact_rig.runs import reanalysis  # noqa: PLC0415
     from impact_rig.runs.wholes import calibration_rows  # noqa: PLC0415
 
     with open_run(directory) as run:
@@ -153,7 +165,8 @@ def _measured(directory: Path) -> RunMeasurements:
             last = settled[-1]
             same_gap = (settled["gap"] == last["gap"]) | (np.isnan(settled["gap"]) & np.isnan(last["gap"]))
             settled = settled[(settled["frequency"] == last["frequency"]) & same_gap]
-        return RunMeasurements(rows, settled, calibration_rows(run))
+        calibration = Calibration.from_info(calibration_rows(run))
+    return RunMeasurements(rows, settled, budget(settled, calibration) if len(settled) else None)
 
 
 def _why_nothing(found: RunMeasurements, seconds: float, early: str) -> str:
@@ -166,12 +179,10 @@ def _why_nothing(found: RunMeasurements, seconds: float, early: str) -> str:
     return f"no DT: none of {len(statuses)} measurements is settled: {counted(statuses)}; {last}: {last.doc}"
 
 
-def _print(console: Console, found: RunMeasurements) -> None:
-    from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
-    from impact_rig.analysis.transmissibility import note_on  # noqa: PLC0415
-    from impact_rig.analysis.uncertainty_budget import budget, plus_minus  # noqa: PLC0415
+def _print(console: Console, found: RunMeasurements, whole: Budget) -> None:
+    from impact_rig.analysis.transmissibility import note_on  # noqa: PLC0415  # as above
+    from impact_rig.analysis.uncertainty_budget import plus_minus  # noqa: PLC0415
 
-    whole = budget(found.rows, Calibration.from_info(found.info))
     relative = whole.u_transmissibility / whole.transmissibility
     table = TextTable(
         f"Uncertainty budget of DT, mean of {len(found.rows)} settled measurements",
@@ -201,12 +212,10 @@ def _print(console: Console, found: RunMeasurements) -> None:
 
 
 def _content(found: RunMeasurements) -> dict[str, object]:
-    from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
-    from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
-
-    if not len(found.rows):
+    whole = found.budget
+    if whole is None:
         return {"transmissibility": None}
-    whole, last = budget(found.rows, Calibration.from_info(found.info)), found.rows[-1]
+    last = found.rows[-1]
     return {
         "frequency_hz": last["frequency"],
         "gap_m": last["gap"],

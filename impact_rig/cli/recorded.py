@@ -185,7 +185,10 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig replay`: publish the messages of a run until its end, or with `--loop` until a signal."""
+    """Run `impact-rig replay`: publish the messages of a run until its end, or with `--loop` until a signal.
+
+    Return exit code 0.
+    """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with open_run(arguments.path, arguments.rig) as opened:
         return _play(opened, arguments)

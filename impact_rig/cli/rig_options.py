@@ -95,7 +95,9 @@ def open_rig(
 
 
 def run_directory(wanted: Path | None, what: str) -> Path:
-    """Return the directory of a new run: the requested one, or one below `runs/` named after the command and the time.
+    """Return the directory of a new run: the requested one, or a new one in `runs/` named after `what` and the time.
+
+    The directory is not created.
 
     Raises:
         ImpactRigError: the directory is not empty.

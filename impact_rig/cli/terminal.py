@@ -138,7 +138,7 @@ class Steps:
         self._what, self._total, self._told = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line with the number of finished items and a state; of many calls, only about `LINES` print one."""
+        """Print a line with the number of finished items and a state; of many calls, only about 50 print one."""
         every = max(1, self._total // LINES)
         if done // every > self._told // every or done == self._total > self._told:
             self._told = done

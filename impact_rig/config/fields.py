@@ -45,28 +45,46 @@ _LIST_FORM = re.compile(r"\[[-+.0-9eE, ]{1,10000}\]")
 
 
 class Origin(enum.Enum):
-    """Origin of a default value: printed in the paper, identified from its results, or assumed."""
+    """Origin of a default value.
 
-    PAPER = "paper"  # printed in the paper
-    IDENTIFIED = "identified"  # chosen so that the paper's published statements hold
-    ASSUMED = "assumed"  # plausible catalogue value or a choice of this project
+    It is printed in the paper, identified (chosen so that the statements of the paper hold), or assumed (a plausible
+    catalogue value, or a choice of this project).
+    """
+
+    PAPER = "paper"
+    IDENTIFIED = "identified"
+    ASSUMED = "assumed"
 
 
 @attrs.frozen
 class FieldInfo:
-    """Description of one configuration value: meaning, unit, allowed range, and origin of its default."""
+    """Description of one configuration value: meaning, unit, allowed range, and origin of its default.
 
-    doc: str  # meaning, in one sentence
-    unit: str = "-"  # SI unit, `-` for none
-    origin: Origin = Origin.ASSUMED  # origin of the default
-    low: float | None = None  # lower bound; None for none
-    high: float | None = None  # upper bound; None for none
-    low_open: bool = False  # whether the value must be greater than `low`, not equal to it
-    high_open: bool = False  # whether the value must be less than `high`, not equal to it
-    choices: tuple[str, ...] = ()  # allowed words
-    read_only: bool = False  # whether the value is fixed at the start of the rig
-    pattern: str = ""  # regular expression that a text must match
-    means: str = ""  # texts that `pattern` allows, for messages
+    Attributes:
+        doc: meaning, in one sentence.
+        unit: SI unit; `-` for none.
+        origin: origin of the default.
+        low: lower bound; None for none.
+        high: upper bound; None for none.
+        low_open: whether the value must be greater than `low`, not equal to it.
+        high_open: whether the value must be less than `high`, not equal to it.
+        choices: allowed words; empty for a value that is not a word.
+        read_only: whether the value is fixed at the start of the rig.
+        pattern: regular expression that a text must match completely; empty if any text is allowed.
+        means: texts that `pattern` allows, for messages.
+    """
+
+    doc: str
+    unit: str = "-"
+    origin: Origin = Origin.ASSUMED
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    high_open: bool = False
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+    pattern: str = ""
+    means: str = ""
 
     @property
     def meaning(self) -> str:
@@ -74,7 +92,7 @@ class FieldInfo:
         return self.doc[:1].lower() + self.doc[1:].rstrip(".")
 
     def range_text(self) -> str:
-        """Return the allowed values as text for messages, for example `> 0 and <= 1` or `one of sine, chirp`."""
+        """Return the allowed values as text for messages: `> 0 and <= 1`, `one of sine, chirp`, `any finite number`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.means:
@@ -215,8 +233,9 @@ def quantity(
 ) -> Any:
     """Return the attrs field of a finite float with unit and range.
 
-    `above` and `below` are bounds that the value must not reach, `at_least` and `at_most` those that it may reach. A
-    `read_only` value is fixed at the start of the rig.
+    `above` and `below` are bounds that the value must not reach, `at_least` and `at_most` those that it may reach.
+    Without bounds, a value other than 0 still has a magnitude from `LEAST` to `MOST`. A `read_only` value is fixed at
+    the start of the rig.
     """
     about = FieldInfo(
         doc,
@@ -234,7 +253,7 @@ def quantity(
 def quantities(
     default: tuple[float, ...], unit: str, doc: str, origin: Origin = Origin.ASSUMED, *, above: float, at_most: float
 ) -> Any:
-    """Return the attrs field of a tuple of one or more finite floats with one unit and one range."""
+    """Return the attrs field of a tuple of one or more finite floats, each > `above` and <= `at_most`, in one unit."""
     about = FieldInfo(doc, unit, origin, low=above, high=at_most, low_open=True)
     return _field(default, about, _check_floats, _list_to_floats)
 
@@ -248,7 +267,7 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of an integer with a unit, and a range that includes its bounds."""
+    """Return the attrs field of an integer of at most 64 bits with a unit, and a range that includes its bounds."""
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
@@ -281,7 +300,7 @@ def switch(default: bool, doc: str, origin: Origin = Origin.ASSUMED, *, read_onl
 
 
 def names(default: tuple[str, ...], doc: str) -> Any:
-    """Return the attrs field of a tuple of texts, such as names of nodes, which may be empty."""
+    """Return the attrs field of a tuple of any number of texts, such as names of nodes; empty texts are dropped."""
     return _field(default, FieldInfo(doc), _check_names, _list_to_names)
 
 
@@ -299,6 +318,9 @@ def _number_to_text(value: object) -> object:
 
 
 def text(default: str, doc: str, *, read_only: bool = False, pattern: str = "", means: str = "any text") -> Any:
-    """Return the attrs field of a text, restricted to a pattern if given; `means` describes the pattern."""
+    """Return the attrs field of a text, which must match `pattern` completely if given; `means` describes the pattern.
+
+    A number is accepted as its text, because YAML reads a name like 2026 as a number.
+    """
     about = FieldInfo(doc, read_only=read_only, pattern=pattern, means=means)
     return _field(default, about, _check_text, _number_to_text)

@@ -381,7 +381,9 @@ class RigDriver(abc.ABC):
         self.run_to_sample(at_sample)
         acts_on = self._command(frequency_hz, current_a)
         if acts_on != at_sample:
-            raise CommandError(f"the command acts on sample {acts_on}, not on {at_sample}")
+            raise CommandError(
+                f"the command acts on sample {acts_on}, not on {at_sample}: {self.name} was past it when it arrived"
+            )
         return acts_on
 
     # Reference values and losses

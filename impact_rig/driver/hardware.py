@@ -188,7 +188,8 @@ class AnalogOutput:
     def _keep(self, values: NDArray[np.float64]) -> None:
         if not self.ready(len(values)):
             raise CommandError(
-                f"{len(values)} samples before the start do not fit: the buffer has room for {self.space}"
+                f"{len(values)} samples before the start do not fit: the buffer has room for {self.space}; "
+                "call `start` first, or write fewer"
             )
         self._waiting.append(values)
 

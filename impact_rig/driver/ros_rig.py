@@ -388,7 +388,10 @@ class RosRig(RigDriver):
             held_ns = round(TrackerSettings().hold_s * NS_PER_S) + stamp_ns(self.block_scans, self.rate_hz)
             found = self._collectors[self._measurements].tables(measured)
             if any(table.stamp_ns - self._start_ns + held_ns < before_ns for table in found):
-                raise ImpactRigError("a measurement arrived one step late: this machine is too busy for lockstep")
+                raise ImpactRigError(
+                    "a measurement arrived one step late: this machine is too busy for an analysis in lockstep; end "
+                    "other programs, or use mode='free_running'"
+                )
 
     def _received_to(self) -> int:
         """Return the number of the scan after the last one that has arrived."""

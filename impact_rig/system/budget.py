@@ -159,7 +159,7 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return the next node of the document, if it is plain YAML and not nested too deep. PyYAML calls this."""
         if self.check_event(yaml.AliasEvent):
-            raise PlainYamlError("an alias (*name) is not accepted")
+            raise PlainYamlError("an alias (*name) is not accepted; repeat the value")
         if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):
             raise PlainYamlError(f"it is nested deeper than {MAX_DEPTH} levels")
         self._depth += 1

@@ -101,10 +101,8 @@ class Ending:
         ignored = False
         while not ignored:
             with contextlib.suppress(SignalReceived):  # a signal may arrive in between
-                for number in (
-                    *SIGNALS,
-                    signal.SIGALRM,
-                ):  # Python would restore the default handler, which kills, on its way out
+                # Python would restore the default handler, which kills, on its way out
+                for number in (*SIGNALS, signal.SIGALRM):
                     signal.signal(number, signal.SIG_IGN)
                 ignored = True
         signal.setitimer(signal.ITIMER_REAL, 0.0)
