@@ -115,7 +115,7 @@ def test_modules_found_in_a_folder_and_started_programs_are_followed(tmp_path: P
 
 
 @pytest.mark.parametrize("name", impact_rig.__all__)
-def test_the_module_of_a_public_name_reaches_the_tests_of_all_of_them(checkout: Reach, name: str) -> None:
+def test_the_module_of_a_public_name_reaches_the_tests_of_all_public_names(checkout: Reach, name: str) -> None:
     module = getattr(impact_rig, name).__module__.replace(".", "/")
     (file,) = (path for path in (f"{module}.py", f"{module}/__init__.py") if (reach.ROOT / path).is_file())
     found = checkout.files([file])

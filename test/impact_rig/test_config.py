@@ -54,7 +54,7 @@ def test_every_value_has_a_description():
         assert ";" not in about.unit, name
 
 
-def test_names_carry_their_unit():
+def test_the_name_of_a_field_contains_its_unit():
     """The unit in the name `gap_m` excludes that it is taken for millimetres."""
     endings = {"m": "_m", "Hz": "_hz", "kg": "_kg", "Pa": "_pa", "N/m": "_n_m", "ppm": "_ppm", "ohm": "_ohm"}
     for name, (about, _) in FIELDS.items():

@@ -138,7 +138,7 @@ def test_a_record_of_the_complete_decay_is_affected_half_as_much_by_nonlinearity
     assert bent(0.25, 8.0) == pytest.approx(_bent_by_sums(0.25, 8.0), rel=1e-3)
 
 
-def test_a_clipped_decay_is_named():
+def test_a_clipped_or_invalid_decay_yields_its_status():
     y = decay()
     info = info_rows(500)
     assert measure_decay(scans(3 * y), info).status is Status.OVER_RANGE
@@ -234,7 +234,7 @@ def test_the_uncertainty_of_a_drop_test_covers_the_truth(drops):
         (0.2, 0.1, -1e-3, Status.NO_FIT),
     ],
 )
-def test_impossible_drops_are_named(h0, h1, u, status):
+def test_impossible_drops_yield_a_status_and_no_number(h0, h1, u, status):
     found = restitution_of_drops(np.array([h0]), np.array([h1]), u, u)
     assert found.status is status
     assert np.isnan(found.restitution)

@@ -674,7 +674,7 @@ def test_a_slow_separation_of_neighbours_is_measured_for_longer():
     assert judged(2, 31)["regime"] == "chaotic"
 
 
-def test_a_chaotic_transient_is_judged_after_its_end():
+def test_a_chaotic_transient_does_not_decide_the_regime():
     found = judged(2, 39)
     assert (found["regime"], found["transient"]) == ("periodic", 1.0)
     assert found["exponent_per_s"] < 0.0

@@ -165,7 +165,7 @@ def test_noise_at_low_frequencies_is_not_taken_for_the_drive(
 
 
 @pytest.mark.parametrize(("rate_hz", "seconds", "hz"), [(1e6, 1.0, HZ), (51_200.0, 20.0, 3e3), (102_401.0, 4.0, 0.9)])
-def test_the_frequency_of_a_fast_record_takes_little_memory(rate_hz: float, seconds: float, hz: float) -> None:
+def test_finding_the_frequency_of_a_fast_record_needs_little_memory(rate_hz: float, seconds: float, hz: float) -> None:
     """A fit of a million scans would need 150 MB; 20 s are enough."""
     found = source({"base": "m"}, rate_hz, seconds, hz)
     tracemalloc.start()
@@ -177,7 +177,7 @@ def test_the_frequency_of_a_fast_record_takes_little_memory(rate_hz: float, seco
 
 
 @pytest.mark.parametrize("rate_hz", [23, 145, 1000])
-def test_resampling_takes_little_memory(rate_hz: int) -> None:
+def test_resampling_needs_little_memory(rate_hz: int) -> None:
     """24 scans and two lines of a mapping must not need 250 MB."""
     found = source({"base": "m", "laser": "m"}, float(rate_hz), 24 / rate_hz)
     mapping = attrs.evolve(guess(found), resample_hz=1_000_000)

@@ -88,7 +88,7 @@ def test_noise_that_repeats_in_every_cycle_counts_as_white():
     assert found.u_transmissibility == pytest.approx(expected_m / BASE_M, rel=0.01)
 
 
-def test_clock_error_does_not_smear_the_ratio():
+def test_an_error_of_the_clock_does_not_affect_the_ratio():
     """A DAQ clock off by 500 ppm turns the phase by a third of a cycle in 75 s: DT stays, the deviation is reported."""
     true_hz = 9.1 * (1 + 500e-6)
     rng = np.random.default_rng(1)
@@ -261,7 +261,7 @@ def test_invalid_records_yield_a_status_and_no_number(rows, frequency_hz, status
         assert np.isnan(value)
 
 
-def test_an_overloaded_accelerometer_does_not_spoil_the_displacements():
+def test_an_overloaded_accelerometer_does_not_affect_the_displacements():
     rows = steady_record(9.1, 2.0, noise=0)
     rows["status"][100] = 1
     found = measure_record(rows, info_rows(), 9.1)

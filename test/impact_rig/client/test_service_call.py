@@ -57,7 +57,7 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture
 def serve(client: Client) -> Iterator[Callable[[Any, str], Unresponsive]]:
-    """Function that creates a deaf service on a node that another thread spins."""
+    """Function that creates an unresponsive service on a node that another thread spins."""
     node = Node("server", context=client.context, use_global_arguments=False)
     executor = SingleThreadedExecutor(context=client.context)
     executor.add_node(node)
@@ -65,10 +65,10 @@ def serve(client: Client) -> Iterator[Callable[[Any, str], Unresponsive]]:
     thread.start()
 
     def create(service_type: Any, name: str) -> Unresponsive:
-        deaf = Unresponsive()
-        node.create_service(service_type, name, deaf.answer, callback_group=ReentrantCallbackGroup())
+        service = Unresponsive()
+        node.create_service(service_type, name, service.answer, callback_group=ReentrantCallbackGroup())
         executor.wake()
-        return deaf
+        return service
 
     yield create
     executor.shutdown()
@@ -80,17 +80,17 @@ def test_a_repeatable_request_is_sent_again_if_its_answer_is_lost(
     client: Client, serve: Callable[..., Unresponsive]
 ) -> None:
     name = "node/set_parameters_atomically"
-    deaf = serve(SetParametersAtomically, name)
+    service = serve(SetParametersAtomically, name)
     began = time.monotonic()
     client.call(SetParametersAtomically, name, SetParametersAtomically.Request())
-    assert deaf.requests == 2
+    assert service.requests == 2
     assert time.monotonic() >= began + AGAIN_S
 
 
 def test_a_request_that_must_not_be_repeated_is_sent_once(client: Client, serve: Callable[..., Unresponsive]) -> None:
-    deaf = serve(Trigger, "rig/pluck")
+    service = serve(Trigger, "rig/pluck")
     with pytest.raises(WaitTimeoutError, match="an answer of rig/pluck"):
         client.call(Trigger, "rig/pluck", Trigger.Request(), timeout_s=2 * AGAIN_S)
-    assert deaf.requests == 1
+    assert service.requests == 1
     client.call(Trigger, "rig/pluck", Trigger.Request(), repeatable=True)
-    assert deaf.requests == 2
+    assert service.requests == 2

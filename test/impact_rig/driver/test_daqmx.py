@@ -206,7 +206,7 @@ def test_events_report_samples_that_a_reader_then_reads(task: MakeTask) -> None:
     ai.stop()
 
 
-def test_waveforms_know_their_time_channel_and_unit(task: MakeTask) -> None:
+def test_waveforms_have_their_time_channel_and_unit(task: MakeTask) -> None:
     ai = inputs(task(), "Dev1/ai2:3")
     ai.ai_channels.add_ai_accel_chan(
         "Dev1/ai0", name_to_assign_to_channel="a", units=AccelUnits.METERS_PER_SECOND_SQUARED
@@ -424,7 +424,7 @@ def test_unsupported_calls_are_rejected_as_unsupported(task: MakeTask) -> None:
 
 
 @pytest.mark.ros
-def test_a_running_rig_keeps_its_rates() -> None:
+def test_a_task_with_another_rate_than_the_running_rig_is_rejected() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.driver import RosRig
 

@@ -170,7 +170,7 @@ def test_lost_scans_are_counted_when_the_tables_around_them_are_no_longer_kept()
 
 
 @pytest.mark.parametrize("what", ["nothing", "commands", "changes", "faults"])
-def test_a_long_test_takes_bounded_memory(what: str) -> None:
+def test_the_memory_of_a_long_test_is_bounded(what: str) -> None:
     """Compare the memory after 600 and 1,200 blocks, with changes in every block."""
     rig = LocalRig({**LINEAR, "daq.rate_hz": 1000, "daq.block_scans": 10}, kept_bytes=250_000)
 

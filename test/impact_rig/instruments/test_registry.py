@@ -41,7 +41,7 @@ def test_every_instrument_of_the_folder_is_found():
     assert sum("(Instrument):" in path.read_text(encoding="utf-8") for path in files) == len(INSTRUMENTS)
 
 
-def test_an_optional_instrument_is_off_and_costs_nothing():
+def test_an_optional_instrument_is_off_by_default_and_adds_no_column():
     assert set(CHANNELS) == set(INSTRUMENTS) - set(OPTIONAL)
     assert SCAN.itemsize == 8 * (1 + len(CHANNELS)) + 1
     assert CHANNELS[:4] == ("accelerometer", "laser", "base", "current"), "their bits and noise depend on it"

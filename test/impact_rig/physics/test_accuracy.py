@@ -209,7 +209,7 @@ def touches_by_dop853(config: RigConfig, segments: np.ndarray) -> list[float]:
     return touches
 
 
-def test_a_random_base_makes_the_contacts_that_dop853_finds():
+def test_contacts_under_a_random_base_agree_with_dop853():
     """A base of 3 mm rms, in straight lines from tick to tick: its speed jumps ten times between two touches."""
     config = prescribed(
         drive={"waveform": "random", "amplitude": 3e-3}, contact={"law": "kelvin_voigt"}, shaker={"ramp_s": 0.0}

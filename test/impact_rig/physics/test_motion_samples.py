@@ -119,7 +119,7 @@ def test_forces_obey_newton_and_the_walls(case):
     assert (rows["force_right"] * rows["force_left"] == 0.0).all()
 
 
-def test_the_structure_feels_columns_and_contact(case):
+def test_columns_and_contact_accelerate_the_structure(case):
     config, motion = case
     rows = samples(motion)
     if config.contact.law == "restitution" or config.sphere.guide_friction:

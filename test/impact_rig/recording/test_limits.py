@@ -41,7 +41,7 @@ def stamps(path):
         return [message.log_time for message in run.messages(["daq/scan"])]
 
 
-def test_an_existing_recording_is_never_touched(record, tmp_path):
+def test_an_existing_recording_is_never_changed(record, tmp_path):
     with record() as writer:
         fill(writer, 3)
     before = {path.name: path.read_bytes() for path in writer.directory.iterdir()}

@@ -96,7 +96,7 @@ def test_a_journal_with_a_missing_entry_is_rejected() -> None:
         last_journal([])
 
 
-def test_an_entry_carries_every_kind_of_value_exactly() -> None:
+def test_an_entry_stores_every_kind_of_value_exactly() -> None:
     changes = {
         "barriers.gap_m": 0.1 + 0.2,
         "daq.seed": 2**53,

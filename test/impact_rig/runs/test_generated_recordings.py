@@ -30,7 +30,7 @@ FEW = [name for name in KINDS if name.startswith(("01 ", "06 ", "08 ", "57 "))]
 
 
 @pytest.mark.parametrize(("name", "seed"), [*((name, 3) for name in FEW), (FEW[-1], 557), (KILLED, 1053)])
-def test_a_sound_recording_is_accepted(tmp_path: Path, name: str, seed: int) -> None:
+def test_a_valid_recording_is_accepted(tmp_path: Path, name: str, seed: int) -> None:
     """The last two: samples of a stream recorded after a reset that they precede; an entry lost by a kill."""
     for recording in sound_recordings.recordings(KINDS[name], seed, tmp_path):
         assert not sound_recordings.problems(recording, KINDS[name])

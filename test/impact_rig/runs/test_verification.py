@@ -237,7 +237,7 @@ def test_a_difference_after_a_reset_is_found(tmp_path: Path) -> None:
     assert "daq/scan at 0.3" in found.reason
 
 
-def test_a_block_lost_before_a_reset_is_missing(tmp_path: Path) -> None:
+def test_a_block_lost_before_a_reset_is_reported_as_missing(tmp_path: Path) -> None:
     first, second, third = reset_rig()
     lost = max(table.stamp_ns for name, table in second if name == "daq/scan")
     for missing in (lost, lost - TICK):

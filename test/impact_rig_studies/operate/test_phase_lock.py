@@ -149,7 +149,7 @@ def test_a_base_at_rest_is_not_used_as_a_reference():
     assert "do not move" in lock_on(PLAN, bench).reason
 
 
-def test_a_lock_that_is_lost_is_given_up():
+def test_a_lost_lock_ends_after_a_timeout():
     bench = Resonance()
     lock = PhaseLock(attrs.evolve(PLAN, dwell_s=1e6, high_hz=9.2))
     bench.set(lock.start(0))
@@ -159,7 +159,7 @@ def test_a_lock_that_is_lost_is_given_up():
     assert "not held for 20 s" in lock.reason
 
 
-def test_the_start_lies_within_the_bounds():
+def test_a_start_frequency_outside_the_bounds_is_rejected():
     with pytest.raises(ConfigError, match="start_hz must be > 5"):
         attrs.evolve(PLAN, start_hz=30.0)
 
