@@ -94,7 +94,7 @@ def sincos(x: float) -> tuple[float, float]:
 
 @kernel
 def exp(x: float) -> float:
-    """Return e^x within 1 ulp; 0 below x = −708, infinity above 709."""
+    """Return e^x within 1 ulp; 0 below x = −708, infinity from x = 709 on, NaN for NaN."""
     if not x < _LARGEST_EXPONENT:
         return x if x != x else math.inf  # noqa: PLR0124  # only a NaN differs from itself
     if x < _SMALLEST_EXPONENT:

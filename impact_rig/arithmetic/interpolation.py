@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Polynomials of degree seven on a piece, x = −1 … 1, through eight Chebyshev points node_q = cos((2q + 1) π/16).
+"""Polynomials of degree seven on a piece, x = −1 … 1, through eight Chebyshev points node_q = −cos((2q + 1) π/16).
 
     S(x) = Σ_k S_k x^k,   S_k = Σ_q TO_MONOMIALS[k, q] S(node_q)
 
 Column q of TO_MONOMIALS holds Lagrange's Π_{i≠q} (x − node_i) / (node_q − node_i). For a smooth S of angular frequency
-ω on a piece of the length 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15 if
-it is a hundredth.
+ω on a piece of the duration 2 half, the error is 2 (ω half / 2)^8 / 8!: below 1e-5 if a piece is half a period, 1e-15
+if it is a hundredth.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 
 @kernel
 def through_nodes(values: Reals, coefficients: Reals) -> None:
-    """Fill in the coefficients, constant first, of the polynomial through `values` at the nodes.
+    """Fill in the coefficients, constant first, of the polynomial in x through `values` at the nodes, ascending.
 
     Both arrays have the shape (NODES,).
     """

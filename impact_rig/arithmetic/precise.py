@@ -159,7 +159,7 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @precise
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None if two of them are too close to separate.
+    """Return the roots of a real polynomial, or None if they are not found: two of them are too close to separate.
 
     Real roots come first, the largest at the start, then one of each conjugate pair (imaginary part > 0), by imaginary
     part.

@@ -25,8 +25,9 @@ integer arithmetic that NumPy promises not to change.
 coefficients are computed with many digits and rounded once.
 
 - Prototype: s_k = e^{jπ(2k + 5)/8}, k = 0 … 3, of the low-pass with corner 1.
-- Band-pass: s² − s_k B s + ω_0² = 0, B = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i · tick).
-- Digital: p = (1 + s) / (1 − s): g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections.
+- Band-pass from f_1 to f_2: s² − s_k W s + ω_0² = 0, W = ω_2 − ω_1, ω_0² = ω_1 ω_2, ω_i = tan(π f_i tick), with
+  tick the time between two numbers.
+- Digital: poles p = (1 + s) / (1 − s) of g B(z), B = Π (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), four sections.
 - Unit rms: g⁻² = Σ b_n² of B(z) = Σ b_n z⁻ⁿ, which is a sum over its partial fractions.
 """
 
@@ -224,7 +225,7 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
         ValueError: the band is empty or not below half the rate of ticks.
     """
     if not 0.0 < low_hz < high_hz < 0.5 / tick_s:
-        raise ValueError(f"the band must lie within 0 to {0.5 / tick_s:g} Hz, got {low_hz!r} to {high_hz!r} Hz")
+        raise ValueError(f"the band must be 0 < low < high < {0.5 / tick_s:g} Hz, got {low_hz!r} to {high_hz!r} Hz")
     phasors = [unit(pi() * Decimal(f) * Decimal(tick_s)) for f in (low_hz, high_hz)]
     omega_1, omega_2 = (phasor.imag / phasor.real for phasor in phasors)
     poles = sorted(
@@ -244,7 +245,7 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
 def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) -> list[Complex]:
     """Return two poles of the digital filter, one of each conjugate pair that a low-pass pole and its conjugate give.
 
-    `prototype` is that pole of a low-pass with corner 1; `width` is B and the last argument ω_0² of the band, see this
+    `prototype` is that pole of a low-pass with corner 1; `width` is W and the last argument ω_0² of the band, see this
     module.
     """
     half_sum = prototype * Complex(width / 2)
@@ -296,7 +297,10 @@ class BandNoise:
         return twin
 
     def numbers(self, first: int, count: int) -> NDArray[np.float64]:
-        """Return the numbers first … first + count − 1; the next call must start within them or right after them."""
+        """Return the numbers first … first + count − 1, counted from 0.
+
+        The first call must start at 0, each later one within the numbers of the call before or right after them.
+        """
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])
         while there < count:

@@ -16,9 +16,7 @@
 from __future__ import annotations
 
 import html
-import os
 import platform
-import shlex
 import subprocess
 import tempfile
 import uuid
@@ -31,7 +29,7 @@ from impact_rig import __version__, embedded
 from impact_rig.blocks import TRUTH_SCAN_COLUMNS
 from impact_rig.embedded.snapshot import SETUP, snapshot
 from impact_rig.errors import ImpactRigError
-from impact_rig.kernels.build import FOLDER, OBJECT
+from impact_rig.kernels.build import FOLDER, OBJECT, compiler
 from impact_rig.physics.sampling import QUANTITIES
 from impact_rig.rig.config import RigConfig
 from impact_rig.system.files import atomic_write
@@ -55,24 +53,25 @@ ABOUT = {column.name: column.doc.rstrip(".") for column in TRUTH_SCAN_COLUMNS}
 
 
 def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = FOLDER) -> None:
-    """Write a co-simulation unit of a rig.
+    """Write a co-simulation unit of a rig; a file that exists is replaced.
 
     Args:
         config: configuration of the rig; everything except the gap is fixed in the unit. With the waveform "stream" the
             input `current` is a sample in each step, otherwise the amplitude of a sine.
         path: path of the file to write.
-        version: version of FMI.
-        kernels: folder of the compiled kernels; those of another machine need a cross compiler in CC.
+        version: version of FMI, one of `VERSIONS`.
+        kernels: folder of the compiled kernels; those of another machine need its cross compiler, named in the
+            environment variable CC.
 
     Raises:
-        ConfigError: rig.c does not support such a rig.
-        ImpactRigError: the kernels are missing, there is no compiler, or it fails.
+        ConfigError: the rig cannot run without Python, see `snapshot`.
+        ImpactRigError: the folder holds no kernels, there is no C compiler, or it fails.
         OSError: the file cannot be written.
     """
     data = snapshot(config)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {_drive(config)} {data.hex()}')}}}"
     if not (kernels / OBJECT).exists():
-        raise ImpactRigError(f"{kernels / OBJECT} is missing: build it with `python -m impact_rig.kernels.build`")
+        raise ImpactRigError(f"{kernels / OBJECT} is missing: run `python -m impact_rig.kernels.build {kernels}`")
     with tempfile.TemporaryDirectory(prefix="impact_rig_fmu_") as name:
         work = Path(name)
         numbers = ",".join(map(str, data))
@@ -92,18 +91,23 @@ def _drive(config: RigConfig) -> str:
 
 
 def _compile(work: Path, kernels: Path) -> str:
-    """Compile the FMU's shared library into the folder `work`; return the machine for which the compiler makes code."""
-    compiler = shlex.split(os.environ.get("CC", "cc"))
+    """Compile the FMU's shared library into the folder `work`; return the machine for which the compiler makes code.
+
+    Raises:
+        ImpactRigError: there is no C compiler, or it fails.
+    """
     sources = [str(HERE / "fmu.c"), str(HERE / "rig.c"), str(kernels / OBJECT)]
     options = ["-shared", "-fPIC", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", f"-I{work}", f"-I{kernels}"]
-    command = [*compiler, *options, *sources, "-o", str(work / f"{MODEL}.so"), "-lm"]
+    command = [*compiler(), *options, *sources, "-o", str(work / f"{MODEL}.so"), "-lm"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603  # the user's compiler
-        made = subprocess.run([*compiler, "-dumpmachine"], capture_output=True, text=True, check=False)  # noqa: S603
+        made = subprocess.run([*compiler(), "-dumpmachine"], capture_output=True, text=True, check=False)  # noqa: S603
     except OSError as error:
-        raise ImpactRigError(f"an FMU needs a C compiler, CC or cc: {error}") from None
+        raise ImpactRigError(f"an FMU needs a C compiler ({error}): install gcc, or name another in CC") from None
     if done.returncode:
-        raise ImpactRigError(f"the FMU was not compiled: {done.stderr.strip().splitlines()[-1]}")
+        errors = (line for line in done.stderr.splitlines() if "error" in line)
+        why = next(errors, f"exit code {done.returncode}")
+        raise ImpactRigError(f"the FMU was not compiled by {compiler()[0]} for the kernels in {kernels}: {why}")
     machine = made.stdout.partition("-")[0]
     return machine if machine in PLATFORMS["3.0"] else platform.machine()
 

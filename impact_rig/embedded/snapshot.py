@@ -58,7 +58,8 @@ def snapshot(config: RigConfig) -> bytes:
     """Return the bytes from which rig.c starts a rig of this configuration, at rest.
 
     Raises:
-        ConfigError: rig.c does not support such a rig, or the kernels are not compiled.
+        ConfigError: rig.c does not support such a rig: a chirp, a random drive, an initial amplitude, ideal instruments
+            or planned faults. Or this process does not use the compiled kernels.
     """
     _check(config)
     model, chain, drive = build(config), Chain(config), new_generator(config)
@@ -94,21 +95,24 @@ def _check(config: RigConfig) -> None:
         (config.drive.waveform, "drive.waveform", ("sine", "stream")),
         (config.drive.amplitude, "drive.amplitude", (0.0,)),
         (config.instruments.ideal, "instruments.ideal", (False,)),
-        (config.instruments.faults.planned, "instruments.faults.planned", (config.instruments.faults.planned[:0],)),
+        (list(config.instruments.faults.planned), "instruments.faults.planned", ([],)),
     ):
         if found not in allowed:
             names = " or ".join(map(repr, allowed))
-            raise ConfigError(f"{key} must be {names} for a rig without Python, got {found!r}")
+            raise ConfigError(f"{key} must be {names} for a rig without Python (FMU, browser), got {found!r}")
 
 
 def _name_of(pointer: Any) -> str:
     """Return the name under which the compiled kernels export a function of a contact law.
 
     Raises:
-        ConfigError: the kernels are not compiled.
+        ConfigError: this process does not use the compiled kernels, or they do not contain the law.
     """
-    at = getattr(pointer, "address", None)
+    if kernels.MODE != "library":
+        raise ConfigError(
+            f"a rig without Python needs the compiled kernels: {kernels.BUILD}, and unset {kernels.VARIABLE}"
+        )
     for name in kernels.exported:
-        if at is not None and kernels.address(name) == at:
+        if kernels.address(name) == pointer.address:
             return name
-    raise ConfigError("a rig without Python needs a contact law of the compiled kernels: `make kernels` builds them")
+    raise ConfigError("a rig without Python needs a contact law of this package, whose force the kernels contain")

@@ -32,20 +32,8 @@ from impact_rig.kernels.emit import WASM, emit
 
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
 RIG = (
-    *(
-        "new",
-        "free",
-        "reset",
-        "command",
-        "set_gap",
-        "advance",
-        "scans",
-        "channels",
-        "channel_name",
-        "sample",
-        "contact",
-    ),
-    *("tick", "tick_s", "gap", "impacts", "state_size", "save", "restore"),
+    *("new", "free", "reset", "command", "set_gap", "advance", "scans", "channels", "channel_name", "sample"),
+    *("contact", "tick", "tick_s", "gap", "impacts", "state_size", "save", "restore"),
 )
 """Functions of rig.h that the module exports, without their prefix `ir_rig_`."""
 
@@ -56,6 +44,7 @@ def build_wasm(path: Path, keep: Path) -> None:
     Args:
         path: path of the module to write.
         keep: folder in which the translated kernels are kept, so that the next build does not translate them again.
+            Its files are reused if they are of these sources.
 
     Raises:
         SystemExit: the kernels cannot be translated.
@@ -74,19 +63,12 @@ def build_wasm(path: Path, keep: Path) -> None:
         exports += [f"ir_rig_{one}" for one in RIG] + ["impact_rig_address", "malloc"]
         sources = [FOLDER / "kernels.c", work / "tables.c", HERE / "rig.c"]
         options = ["-O2", "-ffp-contract=off", "-fno-stack-protector", f"-I{work}", "-Wl,--strip-all"]
-        command = [
-            *ZIG,
-            *options,
-            *(f"-Wl,--export={one}" for one in exports),
-            *map(str, [*sources, *objects]),
-            "-lm",
-            "-o",
-            str(path),
-        ]
-        subprocess.run(command, check=True)  # noqa: S603  # our own
+        options += [f"-Wl,--export={one}" for one in exports]
+        files = map(str, [*sources, *objects])
+        subprocess.run([*ZIG, *options, *files, "-lm", "-o", str(path)], check=True)  # noqa: S603  # our own
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("file", type=Path, help="destination, such as rig.wasm")
+    parser.add_argument("file", type=Path, help="module to write, such as rig.wasm")
     build_wasm(parser.parse_args().file, Path("build", "kernels"))

@@ -80,7 +80,7 @@ class Accelerometer(Instrument):
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the model of the accelerometer with its charge amplifier, from this section's settings."""
+        """Return the model of accelerometer and charge amplifier, from the settings of `instruments.accelerometer`."""
         volt_per_unit = self.sensitivity_pc_g * self.amplifier_mv_pc * 1e-3 / STANDARD_GRAVITY
         full = self.saturation_v / volt_per_unit
         return Sensor(
@@ -103,7 +103,10 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu message for one reading [m/s²]; it has no field for a clipped reading."""
+        """Return the fields of an Imu message for one reading [m/s²], with `noise` squared as its variance [m/s², rms].
+
+        Imu has no field for a clipped reading, so `clipped` is ignored.
+        """
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {
             "linear_acceleration.x": reading,

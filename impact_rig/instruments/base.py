@@ -58,7 +58,7 @@ class Base(Instrument):
     adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the model of the inferior base's displacement sensor, from this section's settings."""
+        """Return the model of the inferior base's displacement sensor, from the settings of `instruments.base`."""
         return Sensor(
             name=self.name,
             quantity=self.senses,
@@ -80,6 +80,6 @@ class Base(Instrument):
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
         """Return the fields of a Vector3Stamped message: `vector.x` is the displacement of the inferior base [m].
 
-        The message has no field for clipping or noise.
+        The message has no field for clipping or noise, so `clipped` and `noise` are ignored.
         """
         return {"vector.x": reading}

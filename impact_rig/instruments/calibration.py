@@ -41,9 +41,9 @@ _VARIANCE_C = 1.0 / 6.0
 
 @attrs.frozen
 class ChannelErrors:
-    """Errors of one sensor as parts of their tolerances, within ± 1: gain, offset, and the linearity's c_2 and c_3.
+    """Errors of one sensor as parts of their tolerances, within ± 1: gain, offset and linearity.
 
-    |c_2| + |c_3| is at most 1.
+    c_2 and c_3 are the parts of the linearity error in the Legendre polynomials P_2 and P_3, with |c_2| + |c_3| <= 1.
     """
 
     gain: float = 0.0
@@ -123,8 +123,8 @@ def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[flo
         adc: the converter.
         rate_hz: scans per second.
         skews_s: conversion time of each channel after the scan clock [s].
-        ideal: whether the instruments are ideal: they read the true value with sensitivity 1, without lag or
-            uncertainty.
+        ideal: whether the instruments are ideal: they read the true value with sensitivity 1, in an infinite range,
+            without noise, lag or uncertainty.
     """
     rows = np.zeros(len(sensors), dtype=DAQ_INFO)
     for channel, sensor in enumerate(sensors):

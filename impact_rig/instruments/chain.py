@@ -72,7 +72,7 @@ _LEFT_OVER = 4  # readings that wait for other channels: at most one, and one mo
 
 
 def sensors(config: InstrumentSetup) -> list[Sensor]:
-    """Return the models of the sensors that are scanned, in scan order, including the board's anti-alias filter."""
+    """Return the models of the sensors that are scanned, in scan order, each with the board's anti-alias filter."""
     return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
 
@@ -92,7 +92,7 @@ class Chain:
 
     @property
     def config(self) -> InstrumentSetup:
-        """Active configuration, whose sections for instruments and scan clock are used."""
+        """Configuration that the chain uses now: that of its creation, or of the last `reconfigure`."""
         return self._config
 
     @property
@@ -102,7 +102,7 @@ class Chain:
 
     @property
     def next_scan(self) -> int:
-        """Number of the first scan that `read` has not returned yet, counted since the reset."""
+        """Number of the first scan that `read` has not returned yet, counted from 0 since the reset."""
         return self._next_scan
 
     @property
@@ -111,7 +111,10 @@ class Chain:
         return int(self._channels["converted"].max())
 
     def reset(self) -> None:
-        """Restart at scan 0 with the original seeds and planned faults: the same motion then gives the same bits."""
+        """Restart at scan 0 with the seed and the planned faults of `config`: the same motion then gives the same bits.
+
+        Injected faults and calibration sines are gone, and scans that were not read.
+        """
         config = self._config
         self._clock = scan_clock(config)
         self._sensors = sensors(config)
@@ -152,21 +155,18 @@ class Chain:
         """Change the settings of the instruments from the next tick on; counters, noise and faults continue.
 
         Raises:
-            ConfigError: scan rate, channels, seed or planned faults differ, which needs a reset.
+            ConfigError: the list of channels, scan rate, seed or planned faults differ, which needs a new chain; or the
+                converter has become too slow for the scan rate. Nothing is changed.
         """
-        fitted = tuple(instrument.name for instrument in config.instruments.fitted())
+        fitted, present = tuple(instrument.name for instrument in config.instruments.fitted()), self._config
         for key, old, new in (
             ("the list of instruments that are present", self._names, fitted),
-            ("daq.rate_hz", self._config.daq.rate_hz, config.daq.rate_hz),
-            ("daq.seed", self._config.daq.seed, config.daq.seed),
-            (
-                "instruments.faults.planned",
-                self._config.instruments.faults.planned,
-                config.instruments.faults.planned,
-            ),
+            ("daq.rate_hz", present.daq.rate_hz, config.daq.rate_hz),
+            ("daq.seed", present.daq.seed, config.daq.seed),
+            ("instruments.faults.planned", present.instruments.faults.planned, config.instruments.faults.planned),
         ):
             if old != new:
-                raise ConfigError(f"{key} cannot change without a reset: current value {old}, got {new}")
+                raise ConfigError(f"{key} cannot change without a reset: the current value is {old}, got {new}")
         if config.instruments == self._config.instruments:
             self._config = config
             self._shorten_pieces(config.shaker.frequency_max_hz)
@@ -189,6 +189,7 @@ class Chain:
         """
         clock = self._clock.lengths
         breakpoints = None if self._config.instruments.ideal else motion.breakpoints()
+        limits = Limits(tick_s, self._longest_piece_s, _LONGEST_CONTACT_PIECE_S)
         durations = motion.impacts["duration"]
         blows = motion.impacts[durations == 0.0] if 0.0 in durations.tolist() else motion.impacts[:0]
         for first in range(0, count, _TICKS_AT_ONCE):
@@ -196,12 +197,7 @@ class Chain:
             if breakpoints is None:
                 self._acquire_directly(motion, motion_tick + first, ticks, tick_s, clock)
             else:
-                pieces = cut(
-                    breakpoints,
-                    motion_tick + first,
-                    ticks,
-                    Limits(tick_s, self._longest_piece_s, _LONGEST_CONTACT_PIECE_S),
-                )
+                pieces = cut(breakpoints, motion_tick + first, ticks, limits)
                 self._acquire(motion, pieces, blows, motion_tick + first, clock)
             self._make_rows(ticks)
             self._tick += ticks
@@ -250,6 +246,8 @@ class Chain:
     def calibrate(self, channel: str, frequency_hz: float, amplitude: float, ticks: int) -> None:
         """Replace the input of one channel by a known sine for some ticks, from the next tick on.
 
+        It also replaces a sine that is still on at this channel.
+
         Args:
             channel: name of the channel.
             frequency_hz: frequency of the sine; its phase is zero at the start.
@@ -263,19 +261,26 @@ class Chain:
             raise CommandError(f"channel must be one of {', '.join(self._names)}, got {channel!r}")
         highest = self._config.shaker.frequency_max_hz
         if not 0.0 < frequency_hz <= highest:
-            raise CommandError(f"frequency_hz must be > 0 and <= {highest:g} Hz, got {frequency_hz!r} Hz")
-        if not np.isfinite(amplitude) or ticks < 0:
-            raise CommandError(f"amplitude must be finite and ticks >= 0, got {amplitude!r} and {ticks!r}")
+            raise CommandError(
+                f"frequency_hz must be > 0 and <= shaker.frequency_max_hz = {highest:g} Hz, got {frequency_hz!r} Hz"
+            )
+        if not np.isfinite(amplitude):
+            raise CommandError(f"amplitude must be finite, got {amplitude!r}")
+        if ticks < 0:
+            raise CommandError(f"ticks must be >= 0, got {ticks}")
         self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
         """Add a fault, which acts from its `start_sample` on, and return the number by which `clear` ends it.
 
         Raises:
-            CommandError: that scan has already been converted, or the fault's channel is not present.
+            CommandError: a channel has already converted that scan, or the fault's channel is not present.
         """
         if fault.start_sample < self.first_open_scan:
-            raise CommandError(f"a fault must start at scan >= {self.first_open_scan}, got {fault.start_sample}")
+            raise CommandError(
+                f"start_sample must be >= {self.first_open_scan}, the first scan not yet converted, "
+                f"got {fault.start_sample}"
+            )
         if fault.channel and fault.channel not in self._names:
             raise CommandError(f"{fault.kind} needs a channel that is present, {fault.channel} is not")
         return self._faults.add(fault)
@@ -283,15 +288,15 @@ class Chain:
     def clear(self, number: int | None = None) -> None:
         """End the fault with this number, or all faults, at the first scan not yet converted.
 
-        A fault that starts later never acts. A fault that has ended may be cleared again.
+        A fault that would start there or later never acts. A fault that has ended may be cleared again.
 
         Raises:
-            CommandError: no such fault has been injected.
+            CommandError: no fault, planned or injected, has ever had this number.
         """
         self._faults.clear(number, self.first_open_scan)
 
     def fault_numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the faults that act or will act, and of some that have ended."""
+        """Return the numbers of the faults that act or will act, and of ended ones until `fault_rows` forgets them."""
         return self._faults.numbers()
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
@@ -302,13 +307,13 @@ class Chain:
         return self._faults.rows(first_scan, count)
 
     def block_lost(self, first_scan: int, count: int) -> bool:
-        """Return whether a lost_block fault acts on any of these scans; their block is numbered but not published."""
+        """Return whether a lost_block fault acts on any of these scans: their block's scans are then not published."""
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
         """Return by how much clock_drift faults slow the scan clock at the start of a tick [ppm].
 
-        A tick of 10 ms on that clock takes longer in the motion's time by as much.
+        `tick` counts from 0 since the reset. A tick of 10 ms on that clock takes as much longer in the motion's time.
         """
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 

@@ -70,18 +70,24 @@ CLOCK = Fields(Clock, (int, int))
 
 @attrs.frozen
 class ScanClock:
-    """Times at which a multiplexed converter converts its channels, one after another in each scan."""
+    """Times at which a multiplexed converter converts its channels, one after another in each scan.
 
-    rate_hz: int  # scans per second
+    Attributes:
+        rate_hz: scans per second.
+        lengths: lengths of a scan period and of a tick, in clock units.
+        skews: time from the start of a scan to the conversion of each channel, in clock units.
+    """
+
+    rate_hz: int
     lengths: Clock
-    skews: tuple[int, ...]  # conversion of each channel after the scan clock, in clock units
+    skews: tuple[int, ...]
 
     def skew_s(self, channel: int) -> float:
-        """Return the time from the start of a scan to the conversion of `channel` [s]."""
+        """Return the time from the start of a scan to the conversion of channel number `channel`, from 0 on [s]."""
         return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
 
     def scans_per_tick(self) -> int:
-        """Return the largest number of scans that start in one tick."""
+        """Return the largest number of scans that start in one tick of 10 ms."""
         return -(-self.lengths.tick // self.lengths.period)
 
 
@@ -129,7 +135,7 @@ BUFFERS = Fields(Buffers, (REALS_2D, TWO_D_FLAGS, REALS, REALS_2D, REALS))
 
 
 def new_buffers(channels: int, room: int) -> Buffers:
-    """Return empty buffers with room for `room` readings of each channel."""
+    """Return zeroed buffers with room for `room` readings of each channel."""
     values, clipped = np.zeros((channels, room)), np.zeros((channels, room), np.bool_)
     return Buffers(values, clipped, np.zeros(STRETCH), np.zeros((3, SERIES_TERMS)), np.zeros(2))
 
@@ -217,7 +223,7 @@ def respond(
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels: Records, buffers: Buffers) -> None:
-    """Convert the newest volts of all channels into readings, as the converter and the calibration do."""
+    """Convert the volts that `respond` added to each channel's buffer into readings, in place."""
     for j in range(channels.shape[0]):
         channel = channels[j]
         for begin in range(channel.finished, channel.filled, STRETCH):
@@ -232,8 +238,8 @@ def digitise(channels: Records, buffers: Buffers) -> None:
 def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of: Integers, offset: Reals) -> int:
     """Fill in the instants of the next conversions of channels without skew: the tick, and the offset into it [s].
 
-    Returns the number of instants; they count as converted. A channel whose skew has just been removed may be one scan
-    behind the others: it converts at all of the instants, the others only at the last ones.
+    Returns the number of instants; each channel counts them as converted. A channel whose skew has just been removed
+    may be one scan behind the others: it converts at all of the instants, the others at all but the first.
     """
     earliest = channels[0].due
     for j in range(channels.shape[0]):
@@ -257,13 +263,23 @@ def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of
 
 @attrs.frozen
 class Sine:
-    """Calibration sine that replaces a channel's input for some ticks; its amplitude is in the channel's unit."""
+    """Calibration sine that replaces a channel's input for some ticks.
+
+    Attributes:
+        first_tick: number of the first tick in which it is on, at whose start its phase is zero.
+        ticks: number of ticks.
+        frequency_hz: frequency.
+        amplitude: peak value, in the channel's unit.
+        anchor_s: time for which it had been on at `anchor_tick` [s].
+        anchor_tick: tick at which the duration of a tick last changed; by default the first tick.
+        tick_s: duration of a tick from there on [s].
+    """
 
     first_tick: int
     ticks: int
     frequency_hz: float
     amplitude: float
-    anchor_s: float = 0.0  # how long it had been on at `anchor_tick`, when the duration of a tick last changed
+    anchor_s: float = 0.0
     anchor_tick: int = attrs.field(default=attrs.Factory(lambda sine: sine.first_tick, takes_self=True))
     tick_s: float = COMMAND_GRID_S
 
@@ -278,7 +294,7 @@ class Sine:
         return attrs.evolve(self, anchor_s=anchor_s, anchor_tick=tick, tick_s=tick_s)
 
     def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return for each of some ticks whether the sine is on in it."""
+        """Return for each of these tick numbers whether the sine is on in that tick, in their shape."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
     def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -42,18 +42,31 @@ several at their limits: a rectangular error reaches √3 standard uncertainties
 
 @attrs.frozen
 class ChannelCheck:
-    """Result of the known-input check for one channel: the measured sine compared with the certificate."""
+    """Result of the known-input check for one channel: the measured sine compared with the certificate.
 
-    channel: str  # name of the channel
-    expected: float  # peak of the reading according to the certificate [unit]
-    measured: float  # peak of the reading [unit]
-    gain: float  # measured over expected, with the sign of the reading
-    gain_limit: float  # largest allowed deviation of |gain| from 1
-    phase_rad: float  # phase lag of the reading behind the expected sine
-    residual: float  # rms of the part that is not the sine [unit]
-    residual_limit: float  # largest allowed residual [unit]
-    polarity: int  # 1 correct, −1 inverted, 0 no signal
-    ok: bool  # whether all values are within their limits
+    Attributes:
+        channel: name of the channel.
+        expected: peak of the reading according to the certificate [unit of the channel].
+        measured: peak of the reading [unit].
+        gain: `measured` over `expected`, negative if the channel is inverted.
+        gain_limit: largest allowed deviation of |gain| from 1, and of `phase_rad` from 0.
+        phase_rad: phase of the reading relative to the expected sine [rad], positive if it leads; 0 without a signal.
+        residual: rms of the part of the reading that is neither the sine nor a constant [unit].
+        residual_limit: largest allowed residual [unit].
+        polarity: 1 correct, −1 inverted, 0 no signal (less than a tenth of the expected one).
+        ok: whether gain, phase and residual are within their limits and the polarity is 1.
+    """
+
+    channel: str
+    expected: float
+    measured: float
+    gain: float
+    gain_limit: float
+    phase_rad: float
+    residual: float
+    residual_limit: float
+    polarity: int
+    ok: bool
 
 
 class _Rest:
@@ -95,14 +108,14 @@ def check_known_input(
     Args:
         config: configuration of the rig.
         faults: faults on the copy, from its start to its end; faults of the whole board are ignored.
-        frequency_hz: frequency of the sine; a whole number of cycles must fit into one second.
+        frequency_hz: frequency of the sine; choose a whole number of hertz, because one second is measured.
         fraction: amplitude as a part of half the measuring range.
 
     Returns:
         One check per channel, in scan order.
 
     Raises:
-        CommandError: a number is out of range.
+        CommandError: frequency or amplitude is out of range, or the channel of a fault is not present.
     """
     chain = Chain(config)
     chain.clear()  # the configuration's planned faults
@@ -126,9 +139,10 @@ def check_known_input(
 
 
 def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dict[str, int]:
-    """Return for every channel 1 if a positive input reads positive, −1 if negative, 0 if there is no signal.
+    """Return for every channel, by name, 1 if a positive input reads positive, −1 if negative, 0 without a signal.
 
-    Positive is to the right. A channel with −1 is wired the wrong way round.
+    Positive is to the right. A channel with −1 is wired the wrong way round. For 0 the reading has less than a tenth of
+    the input's amplitude.
     """
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 

@@ -197,7 +197,7 @@ def take_rows(channels: Records, readings: Words, clipped: Flags, rows: Bytes, l
         readings: readings of each channel as bit patterns, shape (channels, room).
         clipped: whether each reading was clipped.
         rows: rows of scans as bytes, with room for as many as there may be.
-        layout: bytes per row, position of the status in it, and positions of the channels.
+        layout: bytes per row, then the byte positions of the status and of each channel in a row.
     """
     count = rows.shape[0] // layout[0]
     for j in range(channels.shape[0]):

@@ -28,7 +28,7 @@ from impact_rig.instruments.sensor import Sensor, lag
 
 @attrs.frozen(kw_only=True)
 class Current(Instrument):
-    """Coil current monitor of the power amplifier, to whose phase those of the other channels are referred."""
+    """Coil current monitor of the power amplifier; the phases of the other channels are relative to its phase."""
 
     name = "current"
     place = 3
@@ -46,7 +46,7 @@ class Current(Instrument):
     adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
 
     def sensor(self) -> Sensor:
-        """Return the model of the coil current monitor, from this section's settings."""
+        """Return the model of the coil current monitor, from the settings of `instruments.current`."""
         full = self.saturation_v * self.sensitivity_a_v
         return Sensor(
             name=self.name,

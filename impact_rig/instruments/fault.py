@@ -47,6 +47,7 @@ LARGEST_DRIFT_PPM = 5e5
 time, far above 0 one would take for ever.
 """
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
+_COUNTS = ("start_sample", "samples", "seed")
 
 
 @attrs.frozen(kw_only=True)
@@ -84,32 +85,33 @@ class Fault:
         - `LocalRig`: plans faults (`faults`), and adds them while it runs (`inject`).
     """
 
-    kind: str  # one of `FAULT_KINDS`
-    channel: str = ""  # the channel it acts on, empty for faults of the whole board
-    start_sample: int = 0  # first scan it acts on
-    samples: int = 0  # number of scans it lasts, 0 = until it is cleared
-    value: float = 0.0  # size in the unit of the channel, or as the kind defines it
-    seed: int = 0  # seed of its own random numbers
-    rate_hz: float = DEFAULT_SPIKE_RATE_HZ  # mean rate of a spike train
+    kind: str
+    channel: str = ""
+    start_sample: int = 0
+    samples: int = 0
+    value: float = 0.0
+    seed: int = 0
+    rate_hz: float = DEFAULT_SPIKE_RATE_HZ
 
     def __attrs_post_init__(self) -> None:
         _check_kind(self.kind, self.channel)
-        for key in ("start_sample", "samples", "seed", "rate_hz", "value"):
+        for key in (*_COUNTS, "rate_hz", "value"):
             number = getattr(self, key)
             if not math.isfinite(number) or (number < 0 and key != "value"):
                 rule = "finite" if key == "value" else "finite and >= 0"
                 raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
+            if key in _COUNTS and number > MOST:
+                raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {number:.17g}")
         if self.kind == "clock_drift" and abs(self.value) > LARGEST_DRIFT_PPM:
-            raise CommandError(f"value of clock_drift must be within {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}")
-        for key in ("start_sample", "samples", "seed"):
-            if getattr(self, key) > MOST:
-                raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {getattr(self, key)}")
+            raise CommandError(f"value of clock_drift must be within ± {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}")
 
     def line(self, scan_rate_hz: int) -> str:
         """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds.
 
+        `from_line` reads it. Numbers that are equal to their defaults are left out.
+
         Args:
-            scan_rate_hz: scans per second of the rig.
+            scan_rate_hz: scans per second of the rig, by which numbers of scans become seconds.
         """
         numbers = (self.start_sample / scan_rate_hz, self.samples / scan_rate_hz, self.value, self.seed, self.rate_hz)
         return fault_line(self.kind, self.channel, **dict(zip(_NUMBERS, numbers, strict=True)))
@@ -120,7 +122,7 @@ class Fault:
 
         Args:
             line: kind, then `key=value` with the keys channel, start_s, duration_s, value, seed and rate_hz.
-            scan_rate_hz: scans per second of the rig. A duration above 0 lasts at least one scan.
+            scan_rate_hz: scans per second of the rig. Times are rounded up to whole scans.
 
         Raises:
             ConfigError: the kind, channel or key is unknown, or a value is malformed or out of range.
@@ -140,7 +142,7 @@ class Fault:
                 rate_hz=values.get("rate_hz", 0.0) or DEFAULT_SPIKE_RATE_HZ,
             )
         except CommandError as error:
-            raise ConfigError(str(error)) from error
+            raise ConfigError(f"{error}, in {line!r}") from error
 
     def __str__(self) -> str:
         where = f" on {self.channel}" if self.channel else ""
@@ -150,7 +152,10 @@ class Fault:
 
 
 def fault_line(kind: str, channel: str, **numbers: float) -> str:
-    """Return a fault as one line of text that `Fault.from_line` reads; default numbers are left out."""
+    """Return a fault as one line of text that `Fault.from_line` reads; numbers equal to their defaults are left out.
+
+    `numbers` are those of such a line: start_s, duration_s, value, seed and rate_hz.
+    """
     usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
     given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
     return " ".join([kind, *([f"channel={channel}"] if channel else []), *given])
@@ -158,10 +163,12 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Section `instruments.faults` of a configuration: faults that are planned from the reset on; none by default."""
+    """Section `instruments.faults` of a configuration: planned faults, which begin by themselves; none by default."""
 
     planned: tuple[str, ...] = names(
-        (), "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s from the reset, or from when set."
+        (),
+        "Faults: `kind channel=... start_s=... duration_s=... value=...`; start_s counts from the reset, or from when "
+        "the line is added to a running rig.",
     )
 
     def __attrs_post_init__(self) -> None:
@@ -171,7 +178,7 @@ class FaultPlan:
             raise ConfigError(f"planned: {error}") from error
 
     def faults(self, scan_rate_hz: int) -> tuple[Fault, ...]:
-        """Return the planned faults, with their times converted to scans at this scan rate.
+        """Return the planned faults, with their times converted to scans at this scan rate; empty lines are ignored.
 
         Raises:
             ConfigError: a line is malformed; the message quotes it.
@@ -230,7 +237,7 @@ class _Active:
 
 
 class FaultBoard:
-    """All faults of a rig, planned or injected, and their effect on volts, readings and scan clock."""
+    """All faults of a rig, planned or injected, numbered from 1, and their effect on volts, readings and scan clock."""
 
     def __init__(self, faults: Iterable[Fault], rate_hz: int) -> None:
         self._rate_hz = rate_hz
@@ -252,13 +259,15 @@ class FaultBoard:
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
-        """End the fault with this number, or all, at scan number `scan`; a fault that starts later never acts.
+        """End the fault with this number, or all if it is None, at scan number `scan`: its first one without effect.
+
+        A fault that would start at that scan or later never acts.
 
         Clearing a fault that has ended is allowed. How long such a fault is stored depends on the division into blocks,
         and so must not matter.
 
         Raises:
-            CommandError: no such fault has been injected.
+            CommandError: no fault has ever had this number.
         """
         if number is not None and not 0 < number <= self._last_number:
             known = f"1 to {self._last_number}" if self._last_number else "none"
@@ -269,7 +278,7 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the names of the channels that have faults; "" stands for the whole board."""
+        """Return the names of the channels of all stored faults, also future ones; "" stands for the whole board."""
         return {active.fault.channel for active in self._faults}
 
     def on_cable(
@@ -277,8 +286,8 @@ class FaultBoard:
     ) -> None:
         """Apply the faults of a channel, except a stuck converter, to the volts on its cable, in place.
 
-        `first` is the number of the first value's scan; `gain` [V/unit] and `zero` [V] are nominal. Flags in `clipped`
-        change with the volts.
+        `first` is the number of the first value's scan; `gain` [V/unit] and `zero` [V] are the sensor's nominal
+        sensitivity and output at zero. A dropout clears the flags in `clipped`, a saturation sets them.
         """
         for active in self._faults:
             if active.fault.channel == channel:
@@ -326,29 +335,22 @@ class FaultBoard:
     def rows(self, first: int, count: int) -> NDArray[np.void]:
         """Return starts and ends of faults in the scans first … first + count − 1, in order: `blocks.FAULTS` rows.
 
-        Faults that ended before these scans are removed.
+        Faults that ended before these scans are removed, so call this once per block, in order.
         """
         if not self._faults:
             return _NO_ROWS
         self._faults = [active for active in self._faults if active.end >= first]
-        events: list[tuple[int, int, int, _Active]] = []
-        for active in self._faults:
-            for scan, starts in ((active.fault.start_sample, 1), (active.end, 0)):
-                if first <= scan < first + count:
-                    events.append((int(scan), 1 - starts, active.number, active))
+        events = [
+            (int(scan), ends, active.number, active.fault)
+            for active in self._faults
+            for ends, scan in enumerate((active.fault.start_sample, active.end))
+            if first <= scan < first + count
+        ]
         rows = np.zeros(len(events), dtype=FAULTS)
-        for row, (scan, ends, number, active) in enumerate(sorted(events, key=lambda event: event[:3])):
-            fault = active.fault
-            rows[row] = (
-                (scan - first) / self._rate_hz,
-                scan,
-                number,
-                fault.kind.encode(),
-                fault.channel.encode(),
-                1 - ends,
-                fault.value,
-                fault.samples / self._rate_hz,
-            )
+        for row, (scan, ends, number, fault) in enumerate(sorted(events, key=lambda event: event[:3])):
+            time, duration = (scan - first) / self._rate_hz, fault.samples / self._rate_hz
+            kind, channel = fault.kind.encode(), fault.channel.encode()
+            rows[row] = time, scan, number, kind, channel, 1 - ends, fault.value, duration
         return rows
 
     def block_lost(self, first: int, count: int) -> bool:
@@ -357,7 +359,10 @@ class FaultBoard:
         return any(active.fault.start_sample < first + count and active.end > first for active in lost)
 
     def clock_ppm(self, scan: int) -> float:
-        """Return by how much clock_drift faults slow the scan clock at a scan [ppm], within ± LARGEST_DRIFT_PPM."""
+        """Return by how much clock_drift faults slow the scan clock at a scan [ppm], 0 if none acts there.
+
+        It is the sum of their values, limited to ± LARGEST_DRIFT_PPM.
+        """
         if not self._faults:
             return 0.0
         drifts = (active for active in self._faults if active.fault.kind == "clock_drift")

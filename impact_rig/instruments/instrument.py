@@ -44,21 +44,31 @@ class Instrument:
     """Base class of an instrument on one channel of the board.
 
     The fields of an instrument form its section `instruments.<name>` of the configuration; make them with
-    `impact_rig.config.fields`. An instrument with a field `present` is scanned only while that is true; the field must
-    be read-only.
+    `impact_rig.config.fields`. An instrument with a field `present` is scanned only if that is true; make the field
+    with `read_only=True`, because a running rig cannot change its channels.
+
+    Attributes:
+        name: name of the channel, of its column in daq/scan and of its section.
+        place: position in the scan among all instruments, present or not, counted from 0. It also seeds the channel's
+            noise and calibration errors.
+        senses: quantity of the motion that it senses, one of `physics.sampling.QUANTITIES`.
+        unit: unit of that quantity and of the readings.
+        doc: description of its column in daq/scan.
+        faults: kinds of faults that its channel can have.
+        monitor: topic of its message at monitor rate, None if it has none.
     """
 
-    name: ClassVar[str]  # name of the channel: its column of daq/scan and its section `instruments.<name>`
-    place: ClassVar[int]  # position in the scan among all instruments, counted from 0; it also seeds the noise
-    senses: ClassVar[str]  # the quantity of the motion that it senses
-    unit: ClassVar[str]  # of the quantity
-    doc: ClassVar[str]  # description of its column
-    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS  # kinds of faults that its channel can have
-    monitor: ClassVar[Topic | None] = None  # the topic of its message at monitor rate, or None
+    name: ClassVar[str]
+    place: ClassVar[int]
+    senses: ClassVar[str]
+    unit: ClassVar[str]
+    doc: ClassVar[str]
+    faults: ClassVar[frozenset[str]] = CHANNEL_KINDS
+    monitor: ClassVar[Topic | None] = None
 
     @property
     def adc_range_v(self) -> float:
-        """Input range of the converter for this channel, ± [V]; every instrument has such a field."""
+        """Input range of the converter for this channel, ± [V]; every instrument has a field of this name."""
         raise NotImplementedError
 
     @property
@@ -67,15 +77,18 @@ class Instrument:
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
-        """Return the model of the channel's sensor: transfer function, range, noise; every instrument defines it."""
+        """Return the model of the channel's sensor: transfer function, range, noise; every subclass defines this."""
         raise NotImplementedError
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
         """Return the fields of the monitor message for one reading: value by field, e.g. `linear_acceleration.x`.
 
+        A subclass with a `monitor` defines this. A field that is left out keeps its default in the message. Values that
+        depend on the reading must be of the type float: all others are taken once, for the reading 0.
+
         Args:
             reading: reading in the channel's unit.
-            clipped: whether the reading is over range.
+            clipped: whether the sensor or the converter was at an end of its range.
             noise: rms of the noise in the channel's unit, as in daq/info.
         """
         raise NotImplementedError

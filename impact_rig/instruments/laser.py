@@ -51,7 +51,7 @@ class Laser(Instrument):
         "sensor_msgs/msg/Range",
         Qos.DATA,
         "rig",
-        "Distance of the superior base, 0.050 m - x_1, low-passed; -Inf or +Inf if out of range (REP-117).",
+        "Distance of the superior base, low-passed; -Inf or +Inf if out of range (REP-117).",
         (
             Column("range", "m", "instruments.laser.distance_m - x_1; -Inf: too near, +Inf: too far, or no reading."),
             Column("min_range", "m", "Near end of the measuring range."),
@@ -79,7 +79,7 @@ class Laser(Instrument):
             raise ConfigError(f"half_range_m must be < distance_m = {self.distance_m:g} m, got {self.half_range_m:g} m")
 
     def sensor(self) -> Sensor:
-        """Return the model of the laser displacement sensor, from this section's settings."""
+        """Return the model of the laser displacement sensor, from the settings of `instruments.laser`."""
         return Sensor(
             name=self.name,
             quantity=self.senses,
@@ -101,9 +101,10 @@ class Laser(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
-        """Return the fields of a Range message for one reading; out of range, the distance is infinite (REP-117).
+        """Return the fields of a Range message for one reading of x_1 [m]: `range` is the distance, `distance_m` − x_1.
 
-        It is −Inf if the superior base is too near, +Inf if too far.
+        Out of range, `range` is −Inf if the superior base is too near and +Inf if it is too far (REP-117). `variance`
+        is `noise` squared.
         """
         nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
         distance = self.distance_m - reading

@@ -33,9 +33,10 @@ PIECES_PER_PERIOD = 2.0
 
 
 class PiecewiseMotion(Protocol):
-    """Interface of a motion that instruments can read; `impact_rig.physics.Motion` has it, and any analytic motion can.
+    """Interface of a motion that instruments can read.
 
-    Quantities of the rig are functions of (tick, offset within it [s]); a tick takes 10 ms of the scan clock.
+    `impact_rig.physics.Motion` has it, and a motion given by formulas can have it, too. Quantities of
+    the rig are functions of (tick, offset within it [s]); a tick takes 10 ms of the scan clock.
     """
 
     @property
@@ -61,7 +62,13 @@ class PiecewiseMotion(Protocol):
 
 
 class Limits(NamedTuple):
-    """Lengths [s] for cutting ticks into pieces: a tick, the longest piece of a flight, the longest joined piece."""
+    """Lengths for cutting the ticks of a motion into pieces.
+
+    Attributes:
+        tick_s: duration of one tick [s].
+        longest_s: longest piece of a flight [s].
+        joined_s: longest piece into which short intervals between breakpoints are joined [s].
+    """
 
     tick_s: float
     longest_s: float

@@ -86,7 +86,7 @@ class Instruments:
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
     """Return the columns of a scan of these instruments: time, one for each, status.
 
-    Bit j of the status, 1 << j, says that channel j was out of range.
+    Bit j of the status, 1 << j, says that channel j of them, counted from 0, was at an end of its range.
     """
     time, status = SCAN_TOPIC.fields
     return (time, *(instrument.column() for instrument in fitted), status)

@@ -74,10 +74,14 @@ class SensorModes:
     """Transfer function of a sensor as partial fractions: its output is Σ Re(residue ψ), with ψ' = pole ψ + input.
 
     The transfer function is strictly proper: it has more poles than zeros.
+
+    Attributes:
+        poles: complex, shape (k,) [rad/s]; one of each conjugate pair, that with the imaginary part >= 0.
+        residues: complex, shape (k,) [1/s]; doubled where a pole stands for a pair.
     """
 
-    poles: NDArray[np.complex128]  # complex, shape (k,) [rad/s]; one of each conjugate pair, imaginary part >= 0
-    residues: NDArray[np.complex128]  # complex, shape (k,) [1/s]; doubled where a pair is represented
+    poles: NDArray[np.complex128]
+    residues: NDArray[np.complex128]
 
     def same_as(self, other: SensorModes) -> bool:
         """Return whether both have the same poles and residues, bit for bit."""
@@ -86,11 +90,17 @@ class SensorModes:
 
 @attrs.frozen
 class Transfer:
-    """Transfer function H(s) = gain Π(s − zero) / Π(s − pole); the product of two is the cascade of both filters."""
+    """Transfer function H(s) = gain Π(s − zero) / Π(s − pole); the product of two is the cascade of both filters.
 
-    zeros: tuple[Complex, ...]  # of many digits [rad/s]
-    poles: tuple[Complex, ...]  # of many digits, both of a conjugate pair [rad/s]
-    gain: Decimal  # leading coefficient
+    Attributes:
+        zeros: numbers of 70 digits [rad/s].
+        poles: numbers of 70 digits, both of a conjugate pair [rad/s].
+        gain: leading coefficient.
+    """
+
+    zeros: tuple[Complex, ...]
+    poles: tuple[Complex, ...]
+    gain: Decimal
 
     @precise
     def __mul__(self, other: Transfer) -> Transfer:
@@ -99,7 +109,7 @@ class Transfer:
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         """Return the frequency response H(j 2π f), in the shape of the frequencies.
 
-        It judges readings; they are computed from `modes`.
+        It is for analyses and checks of the readings; the readings themselves are computed from `modes`.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
         above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
@@ -186,27 +196,51 @@ def resonance(frequency_hz: float, quality: float) -> Transfer:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Sensor:
-    """Model of one sensor with its conditioning, up to the volts at the converter's input."""
+    """Model of one sensor with its conditioning, up to the volts at the converter's input.
 
-    name: str  # name of the channel
-    quantity: str  # quantity of the motion that it senses
-    unit: str  # its unit
-    low_pass: Transfer  # all dynamics that limit its band from above, with unit gain at zero frequency
-    high_pass_hz: float = 0.0  # corner of the first-order high-pass that limits its band from below, 0 for none
-    lag_order: int  # in the rig's band: 1 first-order lag, 2 two-pole Butterworth, 0 pure delay
-    bandwidth_hz: float  # −3 dB corner of the sensor, and of its noise
-    volt_per_unit: float  # nominal sensitivity, signed [V/unit]
-    offset_v: float = 0.0  # nominal output at zero [V]
-    low: float  # smallest output [unit]
-    high: float  # largest output [unit]
-    gain_tolerance: float  # limit of the relative error of the sensitivity
-    offset_tolerance: float  # limit of the zero error [unit]
-    linearity: float = 0.0  # limit of the departure from a straight line [unit]
-    noise: float  # rms within the bandwidth [unit]
-    resolution: float = 0.0  # step of its own output, 0 for none [unit]
-    adc_range_v: float  # input range of the converter, either side [V]
-    inverted: bool  # whether it is wired the wrong way round
-    starts_settled: bool = True  # whether it starts as if the motion's first value had been constant before, or at zero
+    Attributes:
+        name: name of the channel.
+        quantity: quantity of the motion that it senses, one of `physics.sampling.QUANTITIES`.
+        unit: unit of that quantity.
+        low_pass: all dynamics that limit its band from above, with unit gain at zero frequency.
+        high_pass_hz: corner of the first-order high-pass that limits its band from below, 0 for none.
+        lag_order: model of `low_pass` at the frequencies of the rig's motion, which an analysis corrects: 1 first-order
+            lag, 2 two-pole Butterworth, 0 pure delay.
+        bandwidth_hz: −3 dB corner of the sensor, and of its noise.
+        volt_per_unit: nominal sensitivity, signed [V/unit].
+        offset_v: nominal output at zero [V].
+        low: smallest output [unit]; below, the output clips.
+        high: largest output [unit]; above, the output clips.
+        gain_tolerance: limit of the relative error of the sensitivity.
+        offset_tolerance: limit of the zero error [unit].
+        linearity: limit of the departure from a straight line [unit].
+        noise: rms within the bandwidth [unit].
+        resolution: step of the sensor's own output, 0 for none [unit].
+        adc_range_v: input range of the converter, either side of 0 V.
+        inverted: whether it is wired the wrong way round, which the calibration does not show.
+        starts_settled: whether it starts as if the motion's first value had been constant before; otherwise its
+            dynamics start at zero.
+    """
+
+    name: str
+    quantity: str
+    unit: str
+    low_pass: Transfer
+    high_pass_hz: float = 0.0
+    lag_order: int
+    bandwidth_hz: float
+    volt_per_unit: float
+    offset_v: float = 0.0
+    low: float
+    high: float
+    gain_tolerance: float
+    offset_tolerance: float
+    linearity: float = 0.0
+    noise: float
+    resolution: float = 0.0
+    adc_range_v: float
+    inverted: bool
+    starts_settled: bool = True
 
     @property
     def transfer(self) -> Transfer:
@@ -234,7 +268,7 @@ class Sensor:
         return max(low, self.low), min(high, self.high)
 
     def behind(self, adc: Adc) -> Sensor:
-        """Return the sensor together with the board's anti-alias filter, if the board has one.
+        """Return the sensor together with the anti-alias filter of the board `adc`; unchanged if the board has none.
 
         Linearity, resolution and end of range are applied after the dynamics, so after the filter. The noise keeps its
         density and its single pole, at the lower of the two corners.

@@ -42,6 +42,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 PACKAGE = Path(__file__).parents[1]
+IS_CHECKOUT = (PACKAGE.parent / "Makefile").exists()
+BUILD = "run `make kernels`" if IS_CHECKOUT else "run `python -m impact_rig.kernels.build`"
+"""Remedy in messages about the library."""
 VARIABLE = "IMPACT_RIG_KERNELS"
 MODES = ("library", "jit", "plain")
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -143,7 +146,7 @@ class Exported(NamedTuple):
 
 
 REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
-INTEGERS, WORDS, BYTES, FLAGS = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1", "?"))
+INTEGERS, WORDS, BYTES = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1"))
 
 Reals: TypeAlias = NDArray[np.float64]
 Complexes: TypeAlias = NDArray[np.complex128]
@@ -171,8 +174,8 @@ def digest(path: Path) -> str:
 def is_cut_off(path: Path) -> bool:
     """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
 
-    A library that was copied in part is not loaded, because the system's loader does not check this: a signal would end
-    the process.
+    Any other file gives False. A library that was copied in part is not loaded, because the system's loader does not
+    check this: a signal would end the process.
     """
     with path.open("rb") as file:
         head = file.read(64)
@@ -186,7 +189,7 @@ def is_cut_off(path: Path) -> bool:
 def library() -> ModuleType | None:
     """Return the library of kernels if it exists, can be loaded and was built from the present sources; otherwise None.
 
-    If it exists but cannot be used, a line on stderr tells why.
+    If it exists but cannot be used, a line on stderr says why, and this process runs without it.
     """
     spec = importlib.util.find_spec(f"{__name__}._library")
     if spec is None:
@@ -199,7 +202,7 @@ def library() -> ModuleType | None:
         except ImportError as error:  # built for another machine, or damaged
             why = error
     if found is None:
-        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({why}); run `make kernels`\n")
+        sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({why}); {BUILD}\n")
         return None
 
     sources: dict[str, str] = json.loads(found.sources())
@@ -208,7 +211,7 @@ def library() -> ModuleType | None:
     if changed is None:
         return found
     # without this message, a program would seem to hang for minutes of compiling after an edit
-    sys.stderr.write(f"impact_rig: {changed} has changed since the kernels were built; run `make kernels`\n")
+    sys.stderr.write(f"impact_rig: {changed} has changed since the kernels were built; {BUILD}\n")
     return None
 
 
@@ -220,7 +223,8 @@ def _decide() -> tuple[str, ModuleType | None]:
     if built is not None:
         return "library", built
     if asked == "library":
-        raise ImportError("the library of compiled kernels is missing or outdated: run `make kernels`")
+        why = "cannot be used, see the line above" if importlib.util.find_spec(f"{__name__}._library") else "is missing"
+        raise ImportError(f"{VARIABLE}=library, but the library of compiled kernels {why}; {BUILD}")
     if asked == "jit" or (not asked and importlib.util.find_spec("numba")):
         return "jit", None
     return "plain", None
@@ -233,7 +237,7 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def kernel(function: FunctionT) -> FunctionT:
-    """Mark a function that compiled functions call; return it, compiled at its first call in mode `jit`."""
+    """Mark a function that compiled functions call; return it, in mode `jit` in a form compiled at its first call."""
     kernels.append(function)
     return _compiled(function)
 
@@ -241,7 +245,8 @@ def kernel(function: FunctionT) -> FunctionT:
 def entry(*arguments: Any, returns: Any = None) -> Callable[[FunctionT], FunctionT]:
     """Mark a function that Python calls with arguments of these types; see `Entry`.
 
-    In mode `library` the name then stands for the compiled function in the library.
+    In mode `library` the decorated name stands for the compiled function in the library, in mode `jit` for one that is
+    compiled at its first call.
     """
 
     def mark(function: FunctionT) -> FunctionT:

@@ -18,8 +18,8 @@
     impact_rig.h       their declarations
 
 Files that exist and are up to date are kept, or copied to the folder. `--machine aarch64` builds for another machine,
-with the compiler that the environment variable CC names. `--keep DIR` keeps the translated kernels, which serve every
-machine. A release contains the kernels as assembly, which needs no translation.
+with the cross compiler that the environment variable CC names. `--keep DIR` keeps the translated kernels, which serve
+every machine. A release contains the kernels as assembly, which needs no translation.
 
 Numba translates each entry, and the functions it calls, to LLVM code once, for the baseline CPU of this kind of machine
 (the arithmetic is portable, so the bits are the same). Each of two processes makes one module of its part, which LLVM
@@ -70,10 +70,7 @@ functions that compute in software.
 NUMBA = "0.68.1"
 """Version of Numba that translates the kernels; other versions may lack the internal parts that the build uses."""
 TELL_S = 5.0
-WITHOUT = (
-    f"or set {VARIABLE}=jit (compiled by Numba at the first start after each change) or =plain (very slow) to do "
-    "without them"
-)
+WITHOUT = f"set {VARIABLE}=jit (compiled by Numba at the first start after each change) or =plain (very slow)"
 
 
 def this_machine() -> str:
@@ -82,7 +79,7 @@ def this_machine() -> str:
 
 
 def cpu(machine: str) -> str:
-    """Return LLVM's name of the CPU for which code is made on a machine, named as by `platform.machine`.
+    """Return LLVM's name of the oldest CPU of a kind of machine, named as by `platform.machine`; code is made for it.
 
     Raises:
         SystemExit: kernels are not supported on such a machine.
@@ -90,7 +87,7 @@ def cpu(machine: str) -> str:
     try:
         return CPUS[machine]
     except KeyError:
-        raise SystemExit(f"kernels are compiled for {', '.join(CPUS)}, not for {machine}: {WITHOUT}") from None
+        raise SystemExit(f"kernels are compiled for {', '.join(CPUS)}, not for {machine}: there, {WITHOUT}") from None
 
 
 def sources() -> list[Path]:
@@ -111,6 +108,11 @@ def stamps() -> dict[str, str]:
     return {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
 
 
+def compiler() -> list[str]:
+    """Return the command of the system's C compiler: `cc`, or the one that the environment variable CC names."""
+    return shlex.split(os.environ.get("CC") or "cc")
+
+
 def symbol(name: str) -> str:
     """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
 
@@ -129,12 +131,12 @@ def is_built() -> bool:
 def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) -> None:
     """Build library, object file and header of the kernels into a folder, by default next to the sources.
 
-    The progress is printed.
+    The progress is printed. Existing files are replaced, but not if the build fails.
 
     Args:
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
-        keep: folder that holds the translated kernels or gets them, for other machines; default: a temporary one.
+        keep: folder that holds the translated kernels or gets them, for the next build; default: a temporary one.
 
     Raises:
         SystemExit: C compiler or translation failed, or is missing: there is neither assembly nor the right Numba.
@@ -190,7 +192,7 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 
 
 def write_assembly(keep: Path, folder: Path) -> None:
-    """Write the kernels as assembly into a new folder, from which a C compiler builds them without Numba.
+    """Create a folder and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
     `keep` is the folder that holds the translated kernels or gets them.
     """
@@ -256,7 +258,8 @@ def _check_loads(path: Path) -> None:
     load = "import importlib.util as u, sys; u.module_from_spec(u.spec_from_file_location('_library', sys.argv[1]))"
     done = subprocess.run([sys.executable, "-c", load, str(path)], capture_output=True, text=True, check=False)  # noqa: S603  # ourselves
     if done.returncode:
-        raise SystemExit(f"the library of kernels cannot be loaded: {done.stderr.strip().splitlines()[-1]}")
+        why = done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}"
+        raise SystemExit(f"the library of kernels cannot be loaded: {why}")
 
 
 def _check_numba() -> None:
@@ -267,7 +270,7 @@ def _check_numba() -> None:
     if found != NUMBA:
         raise SystemExit(
             f"kernels are built by Numba {NUMBA}, found: {found}. Install it (pip install numba=={NUMBA}), build from "
-            f"a source distribution, which needs no Numba, {WITHOUT}"
+            f"a source distribution, which needs no Numba, or {WITHOUT}"
         )
 
 
@@ -294,7 +297,7 @@ def _translate_all(work: Path) -> None:
             print(f"building kernels: {words}", flush=True)  # noqa: T201
     failed = [part for part, process in running.items() if process.returncode]
     if failed:
-        raise SystemExit(f"the kernels of {', '.join(failed)} could not be built; see the messages above")
+        raise SystemExit(f"the kernels could not be translated ({', '.join(failed)}); see the messages above")
 
 
 def _read(path: Path) -> str:
@@ -302,27 +305,42 @@ def _read(path: Path) -> str:
 
 
 def _compile(arguments: list[str]) -> None:
-    """Call the C compiler, `cc` or the one that CC names, with the options of every build and `arguments`.
+    """Call the C compiler with the options of every build and `arguments`.
 
     Raises:
         SystemExit: there is no compiler, or it fails.
     """
-    compiler = shlex.split(os.environ.get("CC", "cc"))
     options = ["-fPIC", "-O2", "-Wall", "-Wextra", f"-I{sysconfig.get_paths()['include']}"]
     try:
-        subprocess.run([*compiler, *options, *arguments], check=True)  # noqa: S603  # the user's own compiler
+        done = subprocess.run([*compiler(), *options, *arguments], check=False)  # noqa: S603  # the user's own compiler
     except OSError as error:
-        raise SystemExit(f"kernels need a C compiler ({error}): install gcc, name another in CC, {WITHOUT}") from None
-    except subprocess.CalledProcessError as error:
-        raise SystemExit(f"the kernels were not compiled or linked: {error}") from None
+        raise SystemExit(
+            f"kernels need a C compiler ({error}): install gcc, name another in CC, or {WITHOUT}"
+        ) from None
+    if done.returncode:
+        raise SystemExit(f"the kernels were not compiled or linked: {compiler()[0]} failed; see its messages above")
 
 
 def main() -> None:
     """Build the kernels of these sources in a folder, or copy existing ones: the command of this module."""
-    parser = argparse.ArgumentParser(description="Build the kernels.")
+    parser = argparse.ArgumentParser(
+        description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"
+        "date files are kept, or copied to the folder."
+    )
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="destination (default: the package)")
-    parser.add_argument("--machine", default=this_machine(), help="machine to build for (default: this one)")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder that keeps the translated kernels")
+    parser.add_argument(
+        "--machine",
+        default=this_machine(),
+        help=f"machine to build for, one of {', '.join(CPUS)}; another than this one needs its cross compiler in the "
+        "environment variable CC (default: this machine, %(default)s)",
+    )
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="DIR",
+        help="folder that keeps the translated kernels, so that the next build does not translate them again (default: "
+        "none is kept)",
+    )
     arguments = parser.parse_args()
     if arguments.machine != platform.machine() or not is_built():
         build(arguments.folder, arguments.machine, arguments.keep)

@@ -54,13 +54,16 @@ def signature(kind: Function) -> Any:
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a version of the function that Numba compiles at its first call."""
+    """Return a version of the function that Numba compiles at its first call and keeps on disk.
+
+    Later processes load it, until a source file of the package changes. A function without a file is not kept.
+    """
     kept = Path(function.__code__.co_filename).is_file()  # code that was typed in has no file for the cache
     return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
-    """Return the function compiled for one signature, with the `address` that kernels call."""
+    """Compile a function for the signature `kind` now, and return it with the `address` that kernels call."""
     return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 

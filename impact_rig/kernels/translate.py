@@ -121,7 +121,7 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
     types = tuple(map(numba_type, arguments))
     found = compiler.compile_extra(cpu_target.typing_context, context, function, types, numba_type(returns), flags, {})
     if found.signature.return_type != numba_type(returns):
-        raise TypeError(f"{name} returns {found.signature.return_type}, declared is {returns}")
+        raise TypeError(f"{name} returns {found.signature.return_type}, but is declared to return {returns}")
     library = context.codegen().create_library(name)
     module = library.create_ir_module(name)
     if isinstance(one, Entry):

@@ -242,9 +242,10 @@ def _limit_length(s: Record, step: Record) -> float:
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
     """Solve the next step of a contact and return the event at its end, NOTHING, or FAILED.
 
-    FAILED means that none of many lengths gave a valid step. `s.h` becomes the length of the solved step in χ,
-    `s.next_h` the proposed length of the step after it. The rest of the state stays in place until `conclude` moves it.
-    `step` must have been expanded about s, and must hold the `time_left` to the end of the drive segment [s].
+    FAILED means that none of many lengths gave a valid step. `s.h` becomes the length of the solved step in χ (see this
+    module), `s.next_h` the proposed length of the step after it. The rest of the state stays in place until `conclude`
+    moves it. `expand` must have filled `step` about s, and `step.time_left` must be the time to the end of the drive
+    segment [s].
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)
@@ -285,7 +286,7 @@ def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end
 def dissipated(step: Record, h: float) -> float:
     """Return the energy [J] that the contact loses during the solved step, by the collocation's quadrature.
 
-    `h` is the length of the step in χ.
+    `h` is the length of the step in χ, with dt = √δ dχ and δ the indentation.
     """
     lost = 0.0
     for i in range(STAGES):
@@ -351,8 +352,9 @@ def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 def account_step(p: Record, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
     """Add the drive's work and the losses in columns and shaker during a contact's step to `ledger` [J].
 
-    The first part integrates the motion without indentation, which is smooth in time. The second adds the difference
-    that the indentation makes, which is known at the stages only.
+    The step must be solved, and the state s still at its start. The first part integrates the motion without
+    indentation, which is smooth in time. The second adds the difference that the indentation makes, which is known at
+    the stages only.
     """
     half = 0.5 * step.since[LAST]
     for point in range(POINTS):

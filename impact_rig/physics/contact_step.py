@@ -225,7 +225,7 @@ def drop_dense_output(step: Record) -> None:
 
 @kernel
 def _dense_speed(step: Record, x: float) -> float:
-    """Return δ' [m/s] at x of the step whose dense output was stored last: 0 at its start, 1 at its end."""
+    """Return δ' [m/s] at x of the step whose dense output was stored last; x is 0 at its start, 1 at its end."""
     speed = step.dense[STAGES]
     for n in range(STAGES - 1, -1, -1):
         speed = speed * x + step.dense[n]
@@ -234,7 +234,10 @@ def _dense_speed(step: Record, x: float) -> float:
 
 @kernel
 def dense_slope(step: Record, x: float) -> float:
-    """Return dδ'/dχ at x of the step whose dense output was stored last: 0 at its start, 1 at its end."""
+    """Return dδ'/dχ at x of the step whose dense output was stored last; x is 0 at its start, 1 at its end.
+
+    δ' is the rate of the indentation, and dt = √δ dχ.
+    """
     slope = STAGES * step.dense[STAGES]
     for n in range(STAGES - 1, 0, -1):
         slope = slope * x + n * step.dense[n]
@@ -243,7 +246,7 @@ def dense_slope(step: Record, x: float) -> float:
 
 @kernel
 def predict_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill the stages of a step of length h from s with predicted speeds δ', from which Newton's method starts.
+    """Fill `step.speed`, the speeds δ' at the stages of a step of length h from s, with a guess for Newton's method.
 
     The dense output of the step before is extrapolated if it reaches that far; otherwise δ' is a straight line in χ.
     """
@@ -282,7 +285,10 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 
 @kernel
 def turned_at(s: Record) -> float:
-    """Return the law's argument `turned_at` in the state s: the largest w so far while it unloads, 0 while it loads."""
+    """Return the argument `turned_at` of the contact law's force in the state s, see `contact.law`.
+
+    It is the largest w = √δ so far while the contact unloads, and 0 while it loads.
+    """
     return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
 
@@ -302,6 +308,8 @@ def force_at(
 @kernel
 def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Evaluate force, slope and turning point at the start of a step, the contact's time scale, and the error allowed.
+
+    All are stored in `step`, which `expand` must have filled about s.
 
     The speeds of a step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency.
     Where the sphere rests on the wall these are tiny. The error may then be the same part of a tenth of the speed that
@@ -440,10 +448,10 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
     """Solve the equations of a step of length h from s; return whether Newton's method converged within `rounds`.
 
-    The last stage is the end of the step. Where a sphere rests on the wall until a_r(t), which presses it there, lifts
-    it off, a_r determines the indentation, and Newton's method adds the derivative of a_r(t) after FEW_ROUNDS. Only a
-    step of fixed length gets as many as ROUNDS; a step of free length is shortened instead. Forces and slopes at the
-    stages belong to the speeds before Newton's last change.
+    The solution is stored in `step`; the last stage is the end of the step. Where a sphere rests on the wall until
+    a_r(t), which presses it there, lifts it off, a_r determines the indentation, and Newton's method adds the
+    derivative of a_r(t) after FEW_ROUNDS. Only a step of fixed length gets as many as ROUNDS; a step of free length is
+    shortened instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -495,5 +503,8 @@ def estimate_error(step: Record, h: float) -> float:
 
 @kernel
 def next_length(h: float, error: float) -> float:
-    """Return the length for the next step or attempt, after one of length h with `error` over the allowed one."""
+    """Return the length for the next step, or for another attempt, after one of length h: from 0.1 h to 4 h.
+
+    `error` is what `estimate_error` returned: its estimated error as a multiple of the allowed one.
+    """
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

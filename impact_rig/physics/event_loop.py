@@ -459,8 +459,8 @@ def run(
 ) -> tuple[int, int]:
     """Advance the state through `segments[segment:]`; return (DONE or why it stopped, index of the segment it is in).
 
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`. After
-    NEED_ROOM, call again with the returned index and a larger workspace.
+    After DONE the index is the number of segments; after NEED_ROOM, call again with it and a larger workspace.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`.
 
     Work, and losses outside the contacts, are computed only if `account` is true; this costs as much as the flights.
     """

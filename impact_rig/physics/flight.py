@@ -189,7 +189,7 @@ def particular(system: Record, f: DriveSegment, flight: Record) -> None:
 
 @kernel
 def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
-    """Return a time, at most `longest` [s], within which a point cannot cover `distance`: see the head of this file.
+    """Return a time, at most `longest` [s], within which a point cannot cover `distance` [m, >= 0]: see this module.
 
     `speed` and `acceleration` are those towards the target at present, and `jerk_bound` limits the jerk meanwhile.
     """
@@ -228,9 +228,10 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
 
 @kernel
 def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> bool:
-    """Set `flight.system` to the linear system that moves from s on; return whether H and G were computed again.
+    """Set `flight.system` to the linear system that moves from s on: that with the sphere loose or attached.
 
-    The system is that with the sphere loose or attached. H and G are its responses to a drive of the frequency of f.
+    Returns whether `flight.answer` and `flight.growth_answer` were computed again, its responses at the frequency of f.
+    They are kept while system and frequency are the same.
     """
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
@@ -251,7 +252,7 @@ def guide_friction(p: Record, s: Record) -> float:
 
 @kernel
 def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: float) -> None:
-    """Prepare the response to a drive segment and its part in each derivative of x_1.
+    """Prepare the response to a drive segment and its part in x_1 and each of its derivatives.
 
     That part also gets a bound until `t_end`, the end of the segment [s].
     """
@@ -274,9 +275,9 @@ def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
 
 @kernel
 def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: float) -> None:
-    """Compute the modes' amplitudes in a flight from the structural state y at t, and their parts in x_1.
+    """Compute the modes' amplitudes in a flight that begins with the structural state y at t [s].
 
-    These are the parts in x_1 and each of its derivatives, with their moduli as bounds.
+    Also computed are their parts in x_1 and each of its derivatives, with their moduli as bounds.
     """
     rotor = phasor(f.omega * t)
     flight.t_b = t

@@ -38,7 +38,10 @@ from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Ramp(NamedTuple):
-    """Linear ramp of the amplitude from `initial`, at the start of `first_tick`, to `target`, `ticks` ticks later."""
+    """Linear ramp of the amplitude from `initial`, at the start of `first_tick`, to `target`, `ticks` ticks later.
+
+    Amplitudes are in A, m or V, by kind of drive; a tick is 10 ms.
+    """
 
     first_tick: int
     initial: float
@@ -51,7 +54,7 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 @kernel
 def amplitude_at(ramp: Ramp, tick: int) -> float:
-    """Return the amplitude at the start of a tick, during or after the ramp."""
+    """Return the amplitude at the start of tick number `tick`: during the ramp, or `target` after it."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
@@ -105,12 +108,15 @@ class FunctionGenerator:
         frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
         tick: number of ticks generated so far.
         stream: player of a stream's samples, None with any other waveform. The amplitude of a stream is 0.
+
+    Raises:
+        CommandError: the band of a random drive reaches too high for one value per tick.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random, tick_s: float = COMMAND_GRID_S) -> None:
         self._drive = drive
         self._tick_s = tick_s
-        self._ramp_ticks = math.ceil(shaker.ramp_s / tick_s - 1e-9)
+        self._ramp_ticks = self._ticks_of(shaker.ramp_s)
         self.tick = 0
         self._reached = 0.0  # amplitude at the end of the ticks generated so far
         self.frequency_hz = drive.frequency_hz
@@ -124,8 +130,8 @@ class FunctionGenerator:
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / tick_s:
                 raise CommandError(
-                    f"drive.random_high_hz must be < {0.45 / tick_s:g} Hz, the band of a {tick_s:g} s grid, "
-                    f"got {drive.random_high_hz:g}"
+                    f"drive.random_high_hz must be < {0.45 / tick_s:g} Hz, because the noise has one value per "
+                    f"{tick_s:g} s, got {drive.random_high_hz:g} Hz"
                 )
             self._noise = BandNoise(band_pass(drive.random_low_hz, drive.random_high_hz, tick_s), random)
 
@@ -142,17 +148,19 @@ class FunctionGenerator:
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude at the end of the present ramp, or the present one if no ramp is under way."""
+        """Amplitude at the end of the present ramp, or the present amplitude if no ramp is under way (A, m or V)."""
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
-        """Change the frequency of the drive from the next tick on, without a jump of the phase.
+        """Change the frequency of a sine from the next tick on, without a jump of the phase.
+
+        Other waveforms ignore it, although `frequency_hz` shows it.
 
         Raises:
             CommandError: the frequency is not a finite number > 0.
         """
         if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
-            raise CommandError(f"frequency must be > 0 Hz, got {frequency_hz!r}")
+            raise CommandError(f"frequency must be finite and > 0 Hz, got {frequency_hz!r}")
         self._anchor_phase = self.phase_rad
         self._anchor_tick = self.tick
         self.frequency_hz = frequency_hz
@@ -163,20 +171,26 @@ class FunctionGenerator:
         A stream accepts zero only, which stops it and drops its buffered samples.
 
         Raises:
-            CommandError: the amplitude is not a finite number >= 0.
+            CommandError: the amplitude is not a finite number >= 0, or not zero for a stream.
         """
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
-            raise CommandError(f"amplitude must be >= 0, got {amplitude!r}")
+            raise CommandError(f"amplitude must be finite and >= 0, got {amplitude!r}")
+        if self.stream is not None and amplitude > 0.0:
+            raise CommandError(f"amplitude of a stream must be 0, which stops it, got {amplitude!r}")
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp the drive to zero within `ramp_s` seconds, whatever the ramp of other commands; end a stream."""
+        """Ramp the drive to zero within `ramp_s` seconds, whatever the ramp of other commands; end a stream.
+
+        A ramp to zero that is under way can only end earlier.
+        """
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
         """Set the time [s] that later amplitude changes take; a ramp under way starts again with it from here.
 
-        A ramp to zero can only become shorter, see `_ramp_to`.
+        A ramp to zero that is under way can only end earlier. For a stream, the time is that of the ramp at missing
+        samples.
         """
         self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:
@@ -209,7 +223,7 @@ class FunctionGenerator:
             self._tick_s = tick_s
 
     def copy(self) -> FunctionGenerator:
-        """Return an independent copy that continues from here with the same noise; a stream's buffer is shared."""
+        """Return an independent copy that continues from here with the same noise; both share a stream's buffer."""
         twin = copy.copy(self)
         twin._noise = self._noise and self._noise.copy()
         twin.stream = self.stream and self.stream.copy()
@@ -224,23 +238,22 @@ class FunctionGenerator:
         if self.stream is not None:
             segments = self.stream.segments(self.tick, count, self._tick_s)
             self._add_ramp(segments, count)
-            self._pass(count)
-            return segments
-        segments = room(count, SEGMENT)
-        if self._noise is not None:
-            amplitudes = [amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)]
-            fill_lines(segments, self._noise.numbers(self.tick, count + 1) * amplitudes, self._tick_s)
+        elif self._noise is not None:
+            segments = room(count, SEGMENT)
+            fill_lines(segments, self._noise.numbers(self.tick, count + 1) * self._amplitudes(count), self._tick_s)
         else:
+            segments = room(count, SEGMENT)
             ticks_since = self.tick - self._anchor_tick
             fill_sine(segments, self.tick, self._ramp, self._tick_s, self.frequency_hz, ticks_since, self._anchor_phase)
         if self._drive.waveform == "chirp":
             self._fill_chirp(segments)
-        self._pass(count)
-        return segments
-
-    def _pass(self, count: int) -> None:
         self.tick += count
         self._reached = self.amplitude
+        return segments
+
+    def _amplitudes(self, count: int) -> NDArray[np.float64]:
+        """Return the ramp's amplitudes at the ends of the next `count` ticks, shape (count + 1,)."""
+        return np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])
 
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
         """Add to segments the ramp to zero from the value at which a stream was stopped.
@@ -249,7 +262,7 @@ class FunctionGenerator:
         """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return
-        amplitudes = np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])
+        amplitudes = self._amplitudes(count)
         growths = np.diff(amplitudes) / self._tick_s
         tick = np.cumsum(segments["begin"] == 0.0) - 1
         segments["amplitude"] += amplitudes[tick] + growths[tick] * segments["begin"]

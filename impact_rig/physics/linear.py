@@ -157,12 +157,15 @@ def constants(config: MechanicsSetup) -> Constants:
     )
 
 
+_STATES = {"prescribed": 2, "current": 4, "voltage": 5}  # number of entries of y by kind of drive
+
+
 def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
     """Return M of y' = M y + b_0 u + b_1 u', shape (n, n), for a superior base of `mass` [kg] under the drive `kind`.
 
     n is 2 for a prescribed base, 4 for a current drive and 5 for a voltage drive.
     """
-    n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
+    n = _STATES[kind]
     matrix = np.zeros((n, n))
     matrix[X1, V1] = 1.0
     matrix[V1, :2] = -c.k_1 / mass, -c.c_1 / mass
@@ -179,8 +182,7 @@ def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
 
 def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return b_0 and b_1 of y' = M y + b_0 u + b_1 u', shape (n,): how the drive u of this kind and its rate enter."""
-    n = {"prescribed": 2, "current": 4, "voltage": 5}[kind]
-    b_0, b_1 = np.zeros(n), np.zeros(n)
+    b_0, b_1 = np.zeros((2, _STATES[kind]))
     if kind == "prescribed":
         b_0[V1], b_1[V1] = c.k_1 / mass, c.c_1 / mass
     elif kind == "current":

@@ -193,6 +193,8 @@ class Contacts:
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
     """Return the table of contact outcomes of a law, TABLE shape (1,), with the widest range in which the series hold.
 
+    If they hold in no range, `high` is 0, and every contact of the law is integrated.
+
     Args:
         parameters: one record of the law's numbers in its own units, stiffness and masses 1; it is modified.
         law: the contact law's compiled force.

@@ -182,7 +182,11 @@ SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 @functools.cache
 def places(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return the index of each of the named quantities in QUANTITIES, shape (names,)."""
+    """Return the index of each of the named quantities in QUANTITIES, shape (names,).
+
+    Raises:
+        ValueError: a name is not in QUANTITIES.
+    """
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 
@@ -611,7 +615,8 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
-    Consecutive instants in one row of the history are evaluated together.
+    If not, the values from the first missing tick on are not filled. Consecutive instants in one row of the history are
+    evaluated together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)
@@ -781,9 +786,9 @@ def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, wor
 
 @entry(MODEL, TRAJECTORY, SPANS, SAMPLING_WORKSPACE, returns=bool)
 def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
-    """Fill `spans.out` with polynomials of the quantities on the pieces; return whether all their ticks are there.
+    """Fill `spans.out` with polynomials of the quantities on the pieces; return whether the trajectory has their ticks.
 
-    A tick is there if the trajectory contains it.
+    If not, the pieces from the first missing tick on are not filled.
 
     In flight the fastest motion covers at most 2 radians on either side of a piece's middle. There the series leaves
     out 2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces are fitted through

@@ -30,7 +30,7 @@ from impact_rig.kernels import for_kernels, records, room, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact.law import raise_failure
 from impact_rig.physics.contact_step import force_at, turned_at
-from impact_rig.physics.event_loop import NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
+from impact_rig.physics.event_loop import DONE, NEED_ROOM, STUCK, UNSOLVED, Workspace, new_workspace, run
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.fundamental import CYCLE, follow_cycles
 from impact_rig.physics.linear import MechanicsSetup
@@ -57,6 +57,7 @@ from impact_rig.physics.state import (
     FREE,
     IMPACT,
     LEDGER,
+    PHASES,
     PRESCRIBED,
     SPHERE_LOOSE,
     STATE,
@@ -75,34 +76,23 @@ SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 class Motion:
     """Motion of the rig over consecutive ticks, which `Simulation.advance` returns; it can be evaluated at any instant.
 
-    A tick is one drive segment, or several of a stream. Instants are (tick, offset into the tick), so no value depends
-    on how the run was divided into advances. Motions that are evaluated one after the other may share `work`, their
-    scratch memory.
+    A tick is one drive segment, or several of a stream. Instants are (tick, counted since the reset; offset into it
+    [s]), so no value depends on how the run was divided into advances. Motions that are evaluated one after the other
+    may share `work`, their scratch memory.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
-        first_segment: row of each tick's first segment, and the number of segments.
+        first_segment: for each tick the row of its first segment in `segments`; last, the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier motion.
     """
 
     def __init__(
-        self,
-        model: Model,
-        first_tick: int,
-        segments: NDArray[np.void],
-        first_segment: NDArray[np.int64],
-        history: NDArray[np.void],
-        first_state: NDArray[np.int64],
-        impacts: NDArray[np.void],
-        work: SamplingWorkspace | None = None,
+        self, model: Model, trajectory: Trajectory, impacts: NDArray[np.void], work: SamplingWorkspace
     ) -> None:
-        self.first_tick = first_tick
-        self.segments, self.first_segment = segments, first_segment
+        self.segments, self.first_tick, self.first_segment, *_ = trajectory
         self.impacts = impacts
-        self._model = model
-        self._trajectory = Trajectory(segments, first_tick, first_segment, history, first_state)
-        self._sampling = work or new_sampling_workspace()
+        self._model, self._trajectory, self._sampling = model, trajectory, work
 
     @property
     def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
@@ -130,7 +120,7 @@ class Motion:
         """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in their shape.
 
         Raises:
-            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
+            ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
         """
         column: NDArray[np.float64] = self.quantities((name,), tick, offset_s)[0]
         return column
@@ -143,7 +133,7 @@ class Motion:
         This is faster than one by one.
 
         Raises:
-            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
+            ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
@@ -219,6 +209,11 @@ checked when the history is full, and ends `Simulation.advance` with an error; a
 segment.
 """
 
+_FAILURES = {
+    NEED_ROOM: f"more than {MOST_STATES} flights and steps of contacts in one drive segment",
+    STUCK: "no progress",
+    UNSOLVED: "no solution for a step of a contact",
+}
 _WHOLE = 1e-9  # largest error of the phase of a complete cycle [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # initial room: untouched pages take no memory
 _NOTHING_FILLED, _NO_IMPACTS = np.zeros((), COUNTS), np.empty(0, IMPACT)
@@ -296,9 +291,9 @@ class Simulation:
         return contact_laws.from_config(self._config.contact).realised_restitution()
 
     def reset(self) -> None:
-        """Set structure and shaker to rest at zero, the sphere to its start, and the tick to 0.
+        """Set structure and shaker to rest at zero, the sphere to rest at `sphere.start`, and the tick to 0.
 
-        A base that `pluck` locked is released.
+        The energy account begins again. A base that `pluck` locked is released.
         """
         if self.locked:
             self._model, self.locked = build(self._config, self._rtol), False
@@ -306,29 +301,33 @@ class Simulation:
         self.tick = 0
 
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
-        """Change the configuration: the structure keeps its motion, and the sphere is at rest at its start again.
+        """Change the configuration: the structure keeps its motion, and the sphere is at rest at `sphere.start` again.
 
         With another kind of drive the structure starts at rest at zero as well. A base locked by `pluck` stays locked.
+        The energy account begins again.
 
         Args:
             config: the new configuration.
             model: its model, if already built.
+
+        Raises:
+            ConfigError: the masses and stiffnesses have no usable modes; nothing is changed.
         """
         y = self._structure()
-        self._config = config
         if self.locked:
-            self._model = build(config, self._rtol, kind="prescribed")
+            model = build(config, self._rtol, kind="prescribed")
         else:
             model = model or build(config, self._rtol)
             if model.systems[SPHERE_LOOSE].states != self._model.systems[SPHERE_LOOSE].states:  # another kind of drive
                 y = np.zeros(STRUCTURE)
-            self._model = model
+        self._config, self._model = config, model
         self._begin(y)
 
     def pluck(self, displacement_m: float) -> None:
         """Lock the inferior base at zero and release the superior base at rest from a displacement: a free decay.
 
-        The base stays locked, whatever the drive, until `reset`.
+        The sphere is at rest at `sphere.start`, relative to the superior base. The inferior base stays locked, whatever
+        the drive, until `reset`.
         """
         self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
@@ -347,7 +346,8 @@ class Simulation:
     ) -> None:
         """Set the state (SI): superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
 
-        x_b and v_b have no effect if the inferior base is prescribed.
+        x_b and v_b have no effect if the inferior base is prescribed. A coil current is set to zero, and the energy
+        account begins again.
         """
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
@@ -356,7 +356,7 @@ class Simulation:
         self._stored = self.stored_energy()
 
     def state(self) -> NDArray[np.float64] | None:
-        """Return the state after the last segment, SI, shape (7,), or None during a contact.
+        """Return the state at the end of the last drive segment simulated, SI, shape (7,), or None during a contact.
 
         The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. The force of a contact also
         depends on how the contact began, which these numbers do not contain.
@@ -370,8 +370,8 @@ class Simulation:
         """Continue from the seven numbers of a state that `state` returned.
 
         A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. With friction of the
-        guide, a sphere at rest between the walls is ATTACHED as well, until it slips.
-        With `account`, the energy account begins again.
+        guide, a sphere at rest between the walls is ATTACHED as well, until it slips. With `account`, the energy
+        account begins again.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -407,18 +407,13 @@ class Simulation:
             ended, index = run(self._model, segments, self.tick, index, work, self._account)
             raise_failure()
             ((states, impacts, _, ticks),) = work.counts.tolist()
-            if ended in (STUCK, UNSOLVED):
-                what = "no progress" if ended == STUCK else "a step of a contact cannot be solved"
-                raise SimulationError(
-                    f"{what} in tick {self.tick + ticks - 1} {work.states[0]['t']:.9f} s into a segment of it, "
-                    f"phase {work.states[0]['phase']}"
-                )
-            if ended != NEED_ROOM:
+            if ended == DONE:
                 break
-            if states - work.first_state[index] > MOST_STATES:
+            if ended != NEED_ROOM or states - work.first_state[index] > MOST_STATES:
+                s = work.states[0]
                 raise SimulationError(
-                    f"more than {MOST_STATES} flights and steps of contacts in tick {self.tick + ticks - 1}, "
-                    f"{work.states[0]['t']:.9f} s into a segment of it: the motion cannot be resolved"
+                    f"{_FAILURES[ended]} in tick {self.tick + ticks - 1}, {s['t']:.9f} s after the start of a drive "
+                    f"segment, in phase {PHASES[s['phase']]}: the motion cannot be simulated"
                 )
             work = self._work = _grown(work)
         kept = work.history[: states + 1]  # including the state from which the next motion begins
@@ -427,10 +422,9 @@ class Simulation:
         else:
             kept = joined([kept])  # a copy by bytes: NumPy copies records field by field
         hits = joined([work.impacts[:impacts]]) if impacts else _NO_IMPACTS
-        first_segment = work.first_segment[: ticks + 1]
-        motion = Motion(self._model, self.tick, segments, first_segment, kept, work.first_state, hits, self._sampling)
+        trajectory = Trajectory(segments, self.tick, work.first_segment[: ticks + 1], kept, work.first_state)
         self.tick += ticks
-        return motion
+        return Motion(self._model, trajectory, hits, self._sampling)
 
     def copy(self) -> Simulation:
         """Return an independent copy of the simulation in its present state.

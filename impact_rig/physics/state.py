@@ -30,6 +30,7 @@ import numpy as np
 from impact_rig.kernels import with_fields
 from impact_rig.physics.collocation import STAGES
 
+PHASES = ("FREE", "CONTACT", "ATTACHED")
 FREE, CONTACT, ATTACHED = range(3)
 """Phases of the motion: the sphere is loose (FREE), touches a wall that yields (CONTACT), or moves with the superior
 base as one body (ATTACHED), which is a flight as well.

@@ -49,9 +49,14 @@ class Event(enum.StrEnum):
 
 
 class Happened(NamedTuple):
-    """Event in a stream with the number of its first sample and a detail.
+    """Event in a stream.
 
-    The detail is the reason of an END, and for a SUM `count crc`: how many samples took effect, and their CRC-32.
+    Attributes:
+        event: kind of event.
+        sample: number of the first sample that takes effect (BEGIN), that is missing (END), or that the checksum covers
+            (SUM).
+        text: for an END its reason: underrun, ended or stopped. For a SUM `count crc`: the number of samples that the
+            checksum covers, and their CRC-32 in hexadecimal. Otherwise empty.
     """
 
     event: Event
@@ -71,7 +76,7 @@ class StreamState(enum.Enum):
     RESTING = "no sample has arrived yet"
     PLAYING = "samples are in effect"
     MISSING = "no sample arrived in time"
-    OVER = "the controller has ended it"
+    OVER = "the controller has ended it, or the shaker was stopped"
 
 
 class Buffer:
@@ -132,15 +137,18 @@ class Stream:
     """Player of a stream: turns buffered samples into drive segments, tick by tick. Copies share the buffer.
 
     Attributes:
-        played: number of the next sample to play; all earlier samples have taken effect.
+        rate_hz: samples per second.
+        capacity: number of samples that the buffer holds.
+        buffer: buffered samples, by number.
+        played: number of the next sample to play, counted from 0; all earlier ones have taken effect or were replaced.
         state: state of the stream.
         missing: number of samples that did not arrive in time and were replaced.
         events: events that the owner of the stream has not collected yet.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker) -> None:
-        self.rate_hz = drive.stream_rate_hz
-        self.capacity = math.ceil(drive.stream_buffer_s * self.rate_hz) + 1
+        self.rate_hz, self._buffer_s = drive.stream_rate_hz, drive.stream_buffer_s
+        self.capacity = math.ceil(self._buffer_s * self.rate_hz) + 1
         self.buffer = Buffer(self.capacity)
         self.played = 0
         self.state = StreamState.RESTING
@@ -177,14 +185,17 @@ class Stream:
     def put(self, first: int, values: NDArray[np.float64]) -> int:
         """Store a block, the samples from number `first` on; return how many of them came too late and were ignored.
 
-        A block without samples ends the stream at `first`.
+        Too late are those below `played`. A block without samples ends the stream at `first`.
 
         Raises:
-            CommandError: the block reaches further ahead than the buffer does.
+            CommandError: the block reaches further ahead than the buffer does; nothing is stored.
         """
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
-            raise CommandError(f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s")
+            raise CommandError(
+                f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s = {self._buffer_s:g} s: "
+                "send the samples beyond it later"
+            )
         self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))
         if late < len(values) or len(values) == 0:
@@ -227,7 +238,10 @@ class Stream:
         return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
 
     def whole_ticks(self) -> int | None:
-        """Return the first tick for which a sample is missing, or None if the controller will send no more samples."""
+        """Return the first tick for which a sample is missing: all ticks before it can be played without replacements.
+
+        It is None if no more samples are due, because the controller has ended the stream or the shaker was stopped.
+        """
         missing = self._first_missing()
         over = self.state is StreamState.OVER or self._end_reason == STOPPED
         if missing in self.buffer.ends or (over and missing == self.played):

@@ -47,9 +47,13 @@ is 4a²/9.
 
 @precise
 def realised(hysteresis_factor: float) -> float:
-    """Return the restitution that a Hunt–Crossley contact really gives with the hysteresis factor `a` ≥ 0 [-]."""
+    """Return the restitution that a Hunt–Crossley contact really gives with the hysteresis factor `a` ≥ 0 [-].
+
+    Raises:
+        ValueError: the factor is negative or not finite.
+    """
     if hysteresis_factor < 0.0 or not math.isfinite(hysteresis_factor):
-        raise ValueError(f"hysteresis factor must be >= 0, got {hysteresis_factor!r}")
+        raise ValueError(f"hysteresis factor must be finite and >= 0, got {hysteresis_factor!r}")
     if hysteresis_factor < _SMALL:
         return 1.0 - hysteresis_factor * 2.0 / 3.0
     a = Decimal(hysteresis_factor)
@@ -58,7 +62,11 @@ def realised(hysteresis_factor: float) -> float:
 
 @precise
 def factor_returning(restitution: float) -> float:
-    """Return the hysteresis factor `a` [-] with which a Hunt–Crossley contact really gives `restitution`, in (0, 1]."""
+    """Return the hysteresis factor `a` [-] with which a Hunt–Crossley contact really gives `restitution`.
+
+    Raises:
+        ValueError: the restitution is not in (0, 1].
+    """
     if not 0.0 < restitution <= 1.0:
         raise ValueError(f"restitution must be > 0 and <= 1, got {restitution!r}")
     if restitution == 1.0:
@@ -115,7 +123,7 @@ class HystereticLaw(ContactLaw):
     def hysteresis_factor(self) -> float:
         """Return the dimensionless hysteresis factor a that this law's formula gives for the nominal restitution.
 
-        A contact with the approach speed v0 has the damping coefficient c = a K / v0 of c δ^1.5 δ'.
+        With it, the damping force of a contact with the approach speed v0 is (a K / v0) δ^1.5 δ'.
         """
         raise NotImplementedError
 

@@ -99,7 +99,7 @@ laws from this value up.
 
 
 def restitution() -> Any:
-    """Return a new attrs field for the setting `restitution`: the nominal restitution e [-] of the drop test."""
+    """Return a new attrs field for the setting `restitution`: the nominal restitution e of the drop test, 0.01 … 1."""
     about = "Coefficient of restitution e of the drop test."
     return quantity(0.35, "-", about, Origin.PAPER, at_least=LEAST_RESTITUTION, at_most=1)
 
@@ -196,7 +196,7 @@ def name_of(function: ForceFunction) -> str:
 def compiled_force(function: ForceFunction) -> CompiledForce:
     """Return a law's force function in the form that the kernels of this process can call.
 
-    It is taken from the kernel library or compiled by Numba. If neither has it, compiled code calls back into plain
+    It is taken from the kernel library, or else compiled by Numba. Without Numba, compiled code calls back into plain
     Python, which is several hundred times slower, and a warning is logged. In mode `plain` the function itself is
     called.
     """

@@ -27,8 +27,8 @@ import impact_rig
 from impact_rig import kernels
 from impact_rig.embedded.fmu import MOTION, NAMES, READINGS, VERSIONS, write_fmu
 from impact_rig.embedded.snapshot import snapshot
-from impact_rig.errors import ConfigError
-from impact_rig.physics.sampling import QUANTITIES
+from impact_rig.errors import ConfigError, ImpactRigError
+from impact_rig.physics.sampling import QUANTITIES, Trajectory
 from impact_rig.physics.simulation import Motion
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
@@ -230,12 +230,13 @@ def begin(unit: Unit, first: float) -> None:
 
 def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
     """Return the motion of the last tick at the end of each segment of the drive, by time [ns]."""
-    model, found, _ = native.motion.sampled
+    model, found, work = native.motion.sampled
     tick_s = native.rig._generator._tick_s
     at = {}
     for k, end in enumerate([*found.segments["begin"][1:].tolist(), tick_s]):
         rows, history = found.first_state[: k + 2], found.history[: found.first_state[k + 1] + 1]
-        part = Motion(model, tick, found.segments[: k + 1], np.array([0, k + 1]), history, rows, native.motion.impacts)
+        trajectory = Trajectory(found.segments[: k + 1], tick, np.array([0, k + 1]), history, rows)
+        part = Motion(model, trajectory, native.motion.impacts, work)
         values = part.quantities(QUANTITIES, np.array([tick]), np.array([end]))[:, 0]
         at[tick * TICK_NS + round(end / tick_s * TICK_NS)] = values.tolist()
     return at
@@ -368,11 +369,33 @@ def test_values_out_of_range_are_rejected(unit: Unit, reference: int, value: flo
     [
         ({"drive.waveform": "random"}, "drive.waveform must be 'sine' or 'stream'"),
         ({"instruments.ideal": True}, "instruments.ideal must be False"),
+        (
+            {"instruments.faults.planned": ["stuck channel=laser"]},
+            r"planned must be \[\] .* got \['stuck channel=laser'\]",
+        ),
     ],
 )
 def test_an_impossible_unit_is_rejected(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         snapshot(from_flat(RigConfig(), changes))
+
+
+@pytest.mark.parametrize(
+    ("compiler", "said"),
+    [("no_compiler", r"needs a C compiler \(.*no_compiler.*name another in CC"), ("false", "by false .*: exit code 1")],
+)
+def test_a_compiler_that_fails_is_named(
+    compiler: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", compiler)
+    with pytest.raises(ImpactRigError, match=said):
+        write_fmu(RigConfig(), tmp_path / "rig.fmu")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_kernels_is_named_with_the_command_that_fills_it(tmp_path: Path) -> None:
+    with pytest.raises(ImpactRigError, match=rf"impact_rig\.o is missing: run `.*kernels\.build {tmp_path}`"):
+        write_fmu(RigConfig(), tmp_path / "rig.fmu", kernels=tmp_path)
 
 
 def test_the_script_of_the_page_prints_the_dt_of_the_rig(

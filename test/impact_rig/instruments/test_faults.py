@@ -191,7 +191,7 @@ def test_a_fault_without_end_is_reported_as_such_and_can_be_cleared():
 def test_a_fault_cannot_be_injected_into_the_past():
     chain = Chain(configured(10_000))
     chain.acquire(MOTION, 0, 5)
-    with pytest.raises(CommandError, match="must start at scan >= 500, got 499"):
+    with pytest.raises(CommandError, match="start_sample must be >= 500, the first scan not yet converted, got 499"):
         chain.inject(Fault(kind="dropout", channel="laser", start_sample=499))
 
 
@@ -206,7 +206,7 @@ def test_a_fault_cannot_be_injected_into_the_past():
             "start_sample of stuck must be finite and >= 0, got -1",
         ),
         ({"kind": "gain_error", "channel": "base", "value": np.nan}, "value of gain_error must be finite, got nan"),
-        ({"kind": "clock_drift", "value": -1e6}, "value of clock_drift must be within 500000 ppm, got -1000000.0"),
+        ({"kind": "clock_drift", "value": -1e6}, "value of clock_drift must be within ± 500000 ppm, got -1000000.0"),
     ],
 )
 def test_an_invalid_fault_is_rejected_by_name(fault, message):
@@ -237,6 +237,7 @@ def test_the_configuration_contains_the_planned_faults():
         ("stuck channel=lser", r"planned: stuck needs a channel"),
         ("stuck channel=laser start=2", r"key of a fault must be one of channel, start_s, .* got 'start'"),
         ("stuck channel=laser start_s=soon", r"start_s of a fault must be a number, got 'soon'"),
+        ("stuck channel=laser start_s=1e300", r"must be at most 2\*\*53, got 1\.0+\d*e\+300, in 'stuck .*1e300'$"),
         ("stuck channel=laser duration_s=-1", r"duration_s of a fault must be finite and >= 0, got -1"),
         ("stuck channel=laser seed=inf", r"seed of a fault must be finite and >= 0, got inf"),
     ],

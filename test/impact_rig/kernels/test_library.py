@@ -175,7 +175,7 @@ def end_with_one_line(tmp_path: Path, library: bytes) -> None:
 def test_the_target_cpu_follows_from_the_machine() -> None:
     assert [build.cpu(machine) for machine in ("x86_64", "aarch64", "arm64")] == ["x86-64", "generic", "generic"]
     with pytest.raises(
-        SystemExit, match="compiled for x86_64, aarch64, arm64, not for riscv64: or set IMPACT_RIG_KERNELS="
+        SystemExit, match="compiled for x86_64, aarch64, arm64, not for riscv64: there, set IMPACT_RIG_KERNELS=jit"
     ):
         build.cpu("riscv64")
 

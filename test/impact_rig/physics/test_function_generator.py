@@ -170,12 +170,25 @@ def test_noise_is_reproducible_and_has_the_given_band_and_level():
 def test_an_impossible_frequency_is_rejected(wrong):
     made = generator()
     before = made.frequency_hz
-    with pytest.raises(CommandError, match=f"frequency must be > 0 Hz, got {wrong}"):
+    with pytest.raises(CommandError, match=f"frequency must be finite and > 0 Hz, got {wrong}"):
         made.set_frequency(wrong)
     assert made.frequency_hz == before
 
 
 @pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf])
 def test_an_impossible_amplitude_is_rejected(wrong):
-    with pytest.raises(CommandError, match=f"amplitude must be >= 0, got {wrong}"):
+    with pytest.raises(CommandError, match=f"amplitude must be finite and >= 0, got {wrong}"):
         generator().set_amplitude(wrong)
+
+
+def test_a_stream_accepts_no_amplitude_but_zero():
+    made = generator(waveform="stream")
+    with pytest.raises(CommandError, match=r"amplitude of a stream must be 0, which stops it, got 0\.1"):
+        made.set_amplitude(0.1)
+    made.set_amplitude(0.0)
+    assert made.target_amplitude == 0.0
+
+
+def test_a_band_above_the_rate_of_the_noise_is_rejected():
+    with pytest.raises(CommandError, match=r"random_high_hz must be < 45 Hz, .* one value per 0\.01 s, got 50 Hz"):
+        generator(waveform="random", random_high_hz=50.0)

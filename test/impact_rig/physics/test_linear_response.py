@@ -22,6 +22,7 @@ import pytest
 from kits.mechanics import TWO_PI, at_rest, lock_in, of, prescribed, rig, sine, transmissibility
 from scipy.integrate import solve_ivp
 
+from impact_rig.errors import ConfigError
 from impact_rig.physics import Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.rig.config import RigConfig
@@ -147,6 +148,21 @@ def test_a_locked_rig_adopts_a_new_configuration():
     simulation.configure(rig(barriers={"gap_m": 2e-3}))
     assert simulation.locked
     assert simulation.state()[5] == -1e-3
+
+
+def test_a_configuration_without_a_model_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(rig(sphere={"present": False}))
+    simulation.advance(sine(9.1, 0.5, 0.01, 10))
+    before, config = simulation.state(), simulation.config
+
+    def without_modes(*_: object, **__: object) -> None:
+        raise ConfigError("no modes")
+
+    monkeypatch.setattr("impact_rig.physics.simulation.build", without_modes)
+    with pytest.raises(ConfigError, match="no modes"):
+        simulation.configure(rig(structure={"damping_ratio": 0.05}))
+    assert simulation.config is config
+    np.testing.assert_array_equal(simulation.state(), before)
 
 
 def test_a_restored_state_without_a_sphere_has_no_friction():
