@@ -30,3 +30,18 @@ def stamp_ns(index: int, rate_hz: float, start_ns: int = 0) -> int:
     """Return the rig time of scan `index` [ns], if scan 0 is at `start_ns`: exact for any rate, rounded down."""
     over, under = rate_hz.as_integer_ratio()
     return start_ns + index * NS_PER_S * under // over
+
+
+def scan_index(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
+    """Return the index of the scan whose stamp is nearest to a rig time, if scan 0 is at `start_ns`: exact.
+
+    It is the inverse of `stamp_ns`, and negative for times before scan 0.
+    """
+    over, under = rate_hz.as_integer_ratio()
+    return ((time_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
+
+
+def first_scan_at(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
+    """Return the index of the first scan at or after a rig time, if scan 0 is at `start_ns`: exact."""
+    over, under = rate_hz.as_integer_ratio()
+    return -(-(time_ns - start_ns) * over // (under * NS_PER_S))

@@ -114,21 +114,6 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
             raise ConfigError(f"{topic} has {has} in the column {name}")
 
 
-def scan_index(stamp_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the scan whose stamp is nearest to `stamp_ns`; that of scan 0 is `start_ns`.
-
-    Inverse: `simtime.stamp_ns`.
-    """
-    over, under = rate_hz.as_integer_ratio()
-    return ((stamp_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
-
-
-def first_scan_at(time_ns: int, rate_hz: float, start_ns: int) -> int:
-    """Return the index of the first scan at or after the rig time `time_ns`; scan 0 has the stamp `start_ns`."""
-    over, under = rate_hz.as_integer_ratio()
-    return -(-(time_ns - start_ns) * over // (under * NS_PER_S))
-
-
 class ScanBuffer:
     """Buffer of consecutive scans, stored channel by channel; it grows with the kept scans and the longest block.
 

@@ -33,13 +33,13 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
-from impact_rig.analysis.scans import SCAN, ScanBuffer, first_scan_at, need_columns, scan_index
+from impact_rig.analysis.scans import SCAN, ScanBuffer, need_columns
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, ImpactPause, Judge, Progress, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
 from impact_rig.blocks import APPLIED, DAQ_INFO, LONGEST_S, Table, joined
 from impact_rig.errors import ConfigError
-from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.simtime import NS_PER_S, first_scan_at, scan_index, stamp_ns
 from impact_rig.states import MEASURED, SETTLED, AnalysisWord, Status
 
 

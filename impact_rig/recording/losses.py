@@ -33,7 +33,7 @@ import numpy as np
 from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.recording.records import DamageError
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, first_scan_at, scan_index, stamp_ns
 
 RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
 REPLACED = frozenset(topic.name for topic in topics.COMMON if topic.qos is topics.Qos.LATCHED)
@@ -230,9 +230,9 @@ def check_contiguity(
         while begins and begins[0] <= stamp:
             if (begin := begins.popleft()) > newest and count:
                 if not dropped[begin] and anchor_ns is not None:
-                    expected = anchor_ns + index * NS_PER_S * under // over
+                    expected = stamp_ns(index, rate_hz, anchor_ns)
                     missing = (begin - expected) * over // (under * NS_PER_S)
-                    if missing >= before + -(-COMMAND_GRID_NS * over // (under * NS_PER_S)):
+                    if missing >= before + first_scan_at(COMMAND_GRID_NS, rate_hz):
                         gaps.append(Gap(count, expected, begin, missing))
                         lost_scans += missing
                         lost_blocks += missing // max(before, 1)
@@ -241,10 +241,10 @@ def check_contiguity(
         if anchor_ns is None:
             anchor_ns = stamp
         elif count == 0:
-            index = _nearest_index(stamp - anchor_ns, rate_hz)
-        expected = anchor_ns + index * NS_PER_S * under // over
+            index = scan_index(stamp, rate_hz, anchor_ns)
+        expected = stamp_ns(index, rate_hz, anchor_ns)
         if abs(stamp - expected) > slack:
-            found = _nearest_index(stamp - anchor_ns, rate_hz)
+            found = scan_index(stamp, rate_hz, anchor_ns)
             missing = found - index
             gaps.append(Gap(count, expected, stamp, missing))
             if missing > 0:
@@ -253,7 +253,7 @@ def check_contiguity(
             elif missing < 0:
                 restarts += 1
             index = found
-            if start_ns is None and abs(stamp - (anchor_ns + found * NS_PER_S * under // over)) > slack:
+            if start_ns is None and abs(stamp - stamp_ns(found, rate_hz, anchor_ns)) > slack:
                 anchor_ns, index = stamp, 0
         count, scans, index, before = count + 1, scans + length, index + length, length
     return Contiguity(count, scans, tuple(gaps), lost_blocks, lost_scans, restarts)
@@ -286,9 +286,3 @@ def scan_rate_hz(table: Table) -> float | None:
         return None
     whole = round(rate_hz)
     return whole if abs(rate_hz - whole) <= WHOLE * rate_hz else rate_hz
-
-
-def _nearest_index(elapsed_ns: int, rate_hz: float) -> int:
-    """Return the index of the scan whose stamp is nearest to `elapsed_ns` after that of scan 0."""
-    over, under = rate_hz.as_integer_ratio()
-    return (2 * elapsed_ns * over + under * NS_PER_S) // (2 * under * NS_PER_S)

@@ -313,8 +313,9 @@ def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]
 def _left_out(recovered: Recovered | None) -> list[str]:
     if recovered is None or not recovered.incomplete:
         return []
-    count = "an unknown number of" if recovered.missing_messages is None else str(recovered.missing_messages)
-    return [f"{count} messages ({recovered.lost_bytes} bytes in {recovered.damages} places) could not be recovered"]
+    missing = recovered.missing_messages
+    count = "an unknown number of messages" if missing is None else f"{missing} messages that its index counts"
+    return [f"{recovered.damages} damaged parts ({recovered.lost_bytes} bytes) could not be recovered, with {count}"]
 
 
 @attrs.define

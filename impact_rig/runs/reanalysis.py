@@ -40,7 +40,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.recording import CONFIGURATION, Message, Run, arithmetic_of, is_measured
 from impact_rig.recording.losses import check_contiguity, last_scan_ns
 from impact_rig.runs.recovery import is_cut_short
-from impact_rig.simtime import NS_PER_S
+from impact_rig.simtime import NS_PER_S, scan_index
 from impact_rig.states import Status
 from impact_rig.system.machine import fingerprint
 
@@ -349,9 +349,9 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         return Agreement(None, reason="this run holds no results of a live analysis")
     ours = _rows(offline, rate_hz)
     gaps = check_contiguity(blocks, rate_hz).gaps
-    data_begin, data_end = _scan(blocks[0][0], rate_hz) - 1, _scan(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
+    data_begin, data_end = scan_index(blocks[0][0], rate_hz) - 1, scan_index(blocks[-1][0], rate_hz) + blocks[-1][1] - 1
     our_blind = [_Blind(-math.inf, data_begin)]
-    our_blind += [_Blind(*(_scan(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
+    our_blind += [_Blind(*(scan_index(at, rate_hz) - 1 for at in (gap.expected_ns, gap.stamp_ns))) for gap in gaps]
     live_blind = _blind(live)
     # a restarted analysis knows no earlier scans, and no analysis measured in between
     again = next((one.since_ns for one in settings if one.again), None)
@@ -491,7 +491,7 @@ def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, 
 def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
     """Return each row of tables of impacts with the index of the nearest scan, in the order of scans."""
     found = [
-        (_scan(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
+        (scan_index(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
         for table in tables
         for row in table.rows
     ]
@@ -501,13 +501,9 @@ def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]
 def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
     found = []
     for table in tables:
-        end = _scan(table.stamp_ns, rate_hz)
+        end = scan_index(table.stamp_ns, rate_hz)
         found += [_Row(end - round(float(row["waited"]) * rate_hz), end, table.stamp_ns, row) for row in table.rows]
     return found
-
-
-def _scan(stamp_ns: int, rate_hz: int) -> int:
-    return (stamp_ns * rate_hz + NS_PER_S // 2) // NS_PER_S
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:

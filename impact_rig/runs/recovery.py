@@ -126,7 +126,10 @@ class DamagedFile:
         return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
-        """Yield the valid records of the data section in file order, and the damaged parts between them."""
+        """Yield the valid records of the data section in file order, and the damaged parts between them.
+
+        It ends before the record that ends the data section, or at the end of the file.
+        """
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
             position = len(records.MAGIC)
@@ -329,14 +332,14 @@ class RecoverReport:
 
     @property
     def expected_messages(self) -> int | None:
-        """Number of messages in the undamaged run, as the indexes of its files count them; None if one is missing."""
+        """Number of messages in the undamaged run, as the indexes of its files count them; None if one has none."""
         counts = [None if file.expected is None else file.expected.message_count for file in self.files]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def missing_messages(self) -> int | None:
-        """Number of messages of the undamaged run that were not recovered; None if an index is missing."""
+        """Number of messages that the indexes count and that were not recovered; None if a file has no index."""
         return None if self.expected_messages is None else max(0, self.expected_messages - self.messages)
 
     @property

@@ -53,7 +53,7 @@ from impact_rig.rig.truth import monitor_step
 from impact_rig.runs import structure
 from impact_rig.runs.reanalysis import Compared, lag_s, texts
 from impact_rig.runs.recovery import is_cut_short
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, first_scan_at, stamp_ns
 
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete or impossible journal
 _NOT_COMPARED = {
@@ -588,7 +588,7 @@ class _OtherTopics:
         for stamp in self._truth.before(block.end_ns, block.scan.stamp_ns):
             self._truth.compare(block.truth if block.truth is not None and block.truth.stamp_ns == stamp else None)
         for stamp in self._joints.before(block.end_ns, block.scan.stamp_ns):
-            scan = -(-(stamp - start_ns) * rate // NS_PER_S)
+            scan = first_scan_at(stamp, rate, start_ns)
             at, rows = scan - block.first_scan, block.truth.rows if block.truth is not None else None
             states = block.monitor_states[block.monitor_scans == at] if rows is None else rows[at : at + 1]
             exact = stamp_ns(scan, rate, start_ns) == stamp and len(states)
