@@ -47,8 +47,8 @@ def add_record(commands: Commands) -> None:
             ("record --gap none --seconds 30 --output runs/no_sphere", "without the sphere"),
             ("record --through running --namespace /rig --seconds 20", "a running rig, with its present drive"),
         ],
-        "The last printed line is the directory of the run. Exit code 0: DT was measured over the whole run; 1: it was "
-        "not measured, or the run ended early, for the printed reason.",
+        "The last printed line is the directory of the run. Exit code 0: the run has its full length, and DT was "
+        "measured; 1: it ended early, or DT was not measured, for the printed reason.",
     )
     parser.add_argument(
         "--frequency",
@@ -60,8 +60,8 @@ def add_record(commands: Commands) -> None:
         "--current",
         type=CURRENT,
         metavar="A",
-        help="peak coil current of the shaker; on a running rig it is set to 0 at the end (default: "
-        f"{CURRENT_A}A, on a running rig its present current)",
+        help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged); if given for a running "
+        "rig, it is set to 0 at the end",
     )
     parser.add_argument(
         "--seconds",
@@ -299,7 +299,8 @@ def add_recover(commands: Commands) -> None:
         "impact_rig.cli.recorded:run_recover",
         "save every intact chunk of a damaged or unfinished run",
         [("recover runs/killed runs/saved", "writes the intact data to a new run, and lists what is missing")],
-        f"Exit code 0: all data found is intact; {INCOMPLETE}: something is missing; 1: nothing was saved.",
+        f"Exit code 0: no damage was found, and all messages that were found are saved; {INCOMPLETE}: something is "
+        "damaged or missing; 1: nothing was saved.",
     )
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
     add_json(parser)
@@ -351,7 +352,7 @@ def add_fmu(commands: Commands) -> None:
             ("fmu --config my_rig.yaml --fmi 2.0 my_rig.fmu", "another rig, for tools that know FMI 2.0"),
         ],
     )
-    parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write")
+    parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write; an existing one is replaced")
     add_config(parser)
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
@@ -382,7 +383,7 @@ def add_daqmx(commands: Commands) -> None:
         "until Ctrl-C; its exit code is then 0.",
     )
     parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
-    add_config(parser)
+    add_config(parser, "configuration of the rig to simulate, not with --namespace (default: the paper's rig)")
     parser.add_argument(
         "--namespace",
         help="namespace of a running rig to serve, which keeps its configuration (default: this program simulates a "

@@ -93,9 +93,13 @@ def factor() -> float:
 
 @attrs.define
 class ReadBudget:
-    """Limits for one pass through the chunks of a recording: sums of decompressed bytes and records so far."""
+    """Limits for one pass through the chunks of a recording: sums of decompressed bytes and records so far.
 
-    size: int  # size of its files [bytes]
+    Attributes:
+        size: size of the recording's files [bytes], to which the limits of the sums are in proportion.
+    """
+
+    size: int
     _decompressed: int = attrs.field(default=0, init=False)
     _records: int = attrs.field(default=0, init=False)
 
@@ -103,7 +107,8 @@ class ReadBudget:
         """Count a chunk that will have `size` bytes, before it is decompressed.
 
         Raises:
-            BudgetError: the chunk is too large, or all chunks together are.
+            BudgetError: the chunk has more than 32 MiB, or all chunks so far have more than 64 MiB plus 250 bytes per
+                byte of the files.
         """
         allow("bytes in a chunk", size, CHUNK_BYTES)
         self._decompressed += size
@@ -114,7 +119,8 @@ class ReadBudget:
         """Count the `count` records of one chunk.
 
         Raises:
-            BudgetError: a chunk has too many to be held in memory, or all have too many together.
+            BudgetError: the chunk has too many to be held in 64 MiB of memory, or all chunks so far have more than
+                100,000 plus one per byte of the files.
         """
         allow("records in a chunk", count, HELD_BYTES // MESSAGE_BYTES)
         self._records += count
@@ -131,10 +137,11 @@ class PlainYamlError(ValueError):
 
 
 def load_yaml(text: str, limit: int) -> object:
-    """Parse a plain YAML text of at most `limit` characters.
+    """Return the value in a plain YAML text of at most `limit` characters; None for a text without a value.
 
     Raises:
-        PlainYamlError: the text is longer, invalid, has an alias or a duplicate key, or is nested too deep.
+        PlainYamlError: the text is longer, invalid, has an alias, a duplicate key or several documents, or is nested
+            deeper than 100 levels.
     """
     if len(text) > limit:
         raise PlainYamlError(f"it has more than {limit} characters")

@@ -16,7 +16,8 @@
 The program's first import installs the handlers, before anything heavy is loaded. During the imports, a signal ends the
 program immediately. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes
 are closed on the way out; further signals have no effect. Code that must not be interrupted runs in `defer_signals`. If
-third-party code swallows the exception, as callbacks do, it is raised again.
+third-party code swallows the exception, as callbacks do, it is raised again every second. A program that has not ended
+15 s after the first signal is ended immediately.
 """
 
 from __future__ import annotations
@@ -65,6 +66,9 @@ class Ending:
 
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
         """Do the work, and return its exit code or that of the first signal.
+
+        After a signal whose exit code is not 0, this prints the name of the program and the signal on stderr. A process
+        that then still runs after 5 s, because of threads of other libraries, is ended.
 
         Args:
             work: main function of the program.
@@ -180,7 +184,7 @@ def block_signals() -> Iterator[None]:
 
 
 def end_with(process: int, end: Callable[[], None]) -> None:
-    """Call `end` in a thread when the process with the id `process` has ended, or here if there is no such process."""
+    """Call `end` in a new thread when the process with the id `process` ends; at once, here, if there is none."""
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Safe files in directories that other users can write to: only regular files are opened, links are never followed.
+"""Safe files in directories that other users can write to: only regular files are read, and no link is written through.
 
-Reading never blocks (a FIFO has no writer), never runs on (a device has no end) and stops at a limit. Writing creates a
-new file and moves it into place when it is complete, so it never follows a link or file that another user created under
-that name. The next write removes what a killed process left behind.
+Reading follows links, but never blocks (a FIFO has no writer), never runs on (a device has no end) and stops at a
+limit. Writing creates a new file and moves it into place when it is complete, so it never follows a link or file that
+another user created under that name. The next write removes what a killed process left behind.
 
 A lock is held by one process of this machine at a time and is released when the process ends, for whatever reason. Its
 file is in a directory of this user; the file itself stays and has no meaning.
@@ -56,7 +56,7 @@ def open_regular(path: Path) -> int:
     """Return a descriptor of a regular file, open for reading.
 
     Raises:
-        OSError: the file cannot be opened, or is a directory, FIFO, socket or device.
+        OSError: the file cannot be opened, or is a directory, FIFO, socket or device, also behind a link.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # do not wait for the writer of a FIFO
     mode = os.fstat(descriptor).st_mode
@@ -140,7 +140,7 @@ def _create_partial(path: Path) -> tuple[int, Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file completely or not at all; an existing file is replaced.
+    """Write a text file in UTF-8, completely or not at all; an existing file is replaced.
 
     Raises:
         OSError: the file cannot be written.
@@ -241,7 +241,10 @@ def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
 
 @contextlib.contextmanager
 def translate_errors(what: str) -> Iterator[None]:
-    """Turn an `OSError` in the block into a `RecordingError` with the text `what`, which says what failed, and why."""
+    """Turn an `OSError` in the block into a `RecordingError`: the text `what`, which says what failed, and the reason.
+
+    A `RecordingError` passes unchanged.
+    """
     try:
         yield
     except RecordingError:  # has its message already
@@ -321,7 +324,10 @@ PLACES = "impact_rig_places"  # folder of the locks on namespaces of the graph
 
 
 def place(domain_id: int, namespace: str) -> str:
-    """Return the name of the lock, in the folder `PLACES`, by which one rig reserves its ROS domain and namespace."""
+    """Return the name of the lock by which one rig reserves its ROS domain and namespace: `7.cell` for 7 and `/cell`.
+
+    The lock is in the folder `PLACES`.
+    """
     return f"{domain_id}{namespace.replace('/', '.').rstrip('.')}"
 
 
