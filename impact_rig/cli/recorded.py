@@ -20,10 +20,9 @@ import math
 import os
 
 import attrs
-from rich.progress import BarColumn, Progress, TimeRemainingColumn
 
 from impact_rig.cli.parsers import INCOMPLETE
-from impact_rig.cli.terminal import Console, Steps, TextTable, Words, tell_json
+from impact_rig.cli.terminal import Console, Counted, TextTable, tell_json
 from impact_rig.recording import Run, open_run
 from impact_rig.runs import RecoverReport, RunInfo, info, recover
 from impact_rig.simtime import NS_PER_S
@@ -197,25 +196,21 @@ def run_replay(arguments: argparse.Namespace) -> int:
 def _play(opened: Run, arguments: argparse.Namespace) -> int:
     from impact_rig.nodes.player import Player, on_graph  # noqa: PLC0415  # the other subcommands do without ROS
 
-    console = Console(stderr=True)
-    word, times = Words("{task.fields[state]:<8}"), Words("{task.completed:.1f} of {task.total:.1f} s")
-    bar = Progress(word, BarColumn(24), times, TimeRemainingColumn(), console=console, disable=not console.is_terminal)
-    with on_graph("player") as (node, spin), bar as progress:
+    with on_graph("player") as (node, spin):
         factor = None if math.isinf(arguments.rate) else arguments.rate
         player = Player(
             opened, node, spin, factor=factor, peers=arguments.peers, chosen=arguments.topics, paused=arguments.paused
         )
         spin(arguments.delay)
-        total = (player.end_ns - player.start_ns) / NS_PER_S
-        lines = Steps("second", round(total))
-        task = progress.add_task("", total=total, state="waiting")
-        while True:
-            for now_ns in player.play():
-                state, done = "paused" if player.paused else "playing", (now_ns - player.start_ns) / NS_PER_S
-                progress.update(task, completed=done, state=state)
-                if not console.is_terminal:
-                    lines.show(math.floor(done), state)
-            progress.update(task, completed=total, state="done")
-            if not arguments.loop:
-                player.finish()
-                return 0
+        total = round((player.end_ns - player.start_ns) / NS_PER_S)
+        with Counted(Console(stderr=True), "seconds", total) as shown:
+            shown.end = "interrupted"
+            while True:
+                for now_ns in player.play():
+                    done = (now_ns - player.start_ns) // NS_PER_S
+                    shown.show(done, "paused" if player.paused else "playing")
+                shown.show(total, "done")
+                if not arguments.loop:
+                    shown.end = "done"
+                    player.finish()
+                    return 0
