@@ -112,7 +112,8 @@ def file_name(text: str) -> str:
     plain = re.sub(r"[^\w.+=,-]+", "_", text).lstrip(".-")
     if plain == text and 0 < len(text) <= LONGEST_FILE_NAME and text.isascii():
         return text
-    return f"{_ascii(plain)[: LONGEST_FILE_NAME - DIGEST - 1] or 'name'}-{_digest(text)}"
+    plain = re.sub(r"[^\x20-\x7e]", "_", plain)[: LONGEST_FILE_NAME - DIGEST - 1]
+    return f"{plain or 'name'}-{_digest(text)}"
 
 
 def identifier(text: str) -> str:
@@ -153,10 +154,6 @@ def csv_cell(value: object) -> object:
     except ValueError:
         return _FORMULA.sub("'", value) if len(value) > 1 else value
     return value
-
-
-def _ascii(text: str) -> str:
-    return re.sub(r"[^\x20-\x7e]", "_", text)
 
 
 def _digest(text: str) -> str:

@@ -19,7 +19,7 @@ topic that is computed from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any  # rclpy handles
 
 import attrs
@@ -57,7 +57,7 @@ class PlotNode(ManagedNode[PlotSettings]):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("plot", Tree(PlotSettings), **kwargs)
         self._plots: Plots | None = None
-        self._stop_following: Callable[[], None] | None = None
+        self._scans: Any = None  # subscription to scans, while a plotter needs them
 
     def configure(self) -> None:
         """Create the publishers of the topics `plot/...`."""
@@ -81,7 +81,7 @@ class PlotNode(ManagedNode[PlotSettings]):
     def doing(self) -> NodeState:
         """Return the state: `plotting` while a plotter subscribes to a topic computed from scans, otherwise `idle`."""
         words = states.PlotWord
-        return NodeState(words.PLOTTING if self._stop_following is not None else words.IDLE)
+        return NodeState(words.IDLE if self._scans is None else words.PLOTTING)
 
     def _on_info(self, info: Table) -> None:
         self.adopt_frame(info)
@@ -92,16 +92,15 @@ class PlotNode(ManagedNode[PlotSettings]):
         if self._plots is None:
             return
         wanted = self._plots.poll()
-        if wanted and self._stop_following is None:
-            scans = self.subscribe_table(topics.SCAN, self._plots.feed)
-            self._stop_following = lambda: self.destroy_subscription(scans) and None
+        if wanted and self._scans is None:
+            self._scans = self.subscribe_table(topics.SCAN, self._plots.feed)
         elif not wanted:
             self._unfollow()
 
     def _unfollow(self) -> None:
-        stop, self._stop_following = self._stop_following, None
-        if stop is not None:
-            stop()
+        if self._scans is not None:
+            self.destroy_subscription(self._scans)
+            self._scans = None
 
 
 class Plots:

@@ -133,17 +133,17 @@ class StandardServices:
             self._stopped = None
             self._session.pause(self._done(tell, response.STATE_TRANSITION_ERROR))
         else:
-            self._session.pause(lambda success, message: self._stop(success, message, tell, response))
+            done = self._done(tell, response.STATE_TRANSITION_ERROR)
+            self._session.pause(lambda success, message: self._stop(success, message, done))
 
-    def _stop(self, paused: bool, message: str, tell: Tell, response: Any) -> None:
-        """Reset a rig that `_set_simulation_state` has paused, so that it counts as stopped, and answer the request."""
-        code, text = (self._messages.Result.RESULT_OK, "") if paused else (response.STATE_TRANSITION_ERROR, message)
+    def _stop(self, success: bool, message: str, done: Done) -> None:
+        """Reset the rig after a pause with this result, so that it counts as stopped; answer the request by `done`."""
         try:
-            if paused:
+            if success:
                 self._reset_rig(stop=True)
         except CommandError as error:
-            code, text = response.STATE_TRANSITION_ERROR, str(error)
-        tell(code, text)
+            success, message = False, str(error)
+        done(success, message)
 
     def _reset_rig(self, stop: bool) -> None:
         rig = self._session.running()

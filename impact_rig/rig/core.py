@@ -33,6 +33,7 @@ from impact_rig import topics
 from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import APPLIED, FRAME_DAQ, STREAM, Table
 from impact_rig.config import Drive, Pluck
+from impact_rig.config.tree import Value
 from impact_rig.errors import CommandError, ConfigError, SimulationError
 from impact_rig.instruments.chain import Chain
 from impact_rig.instruments.fault import Fault
@@ -47,7 +48,6 @@ from impact_rig.rig.journal import (
     InputKind,
     Journal,
     PlannedFaults,
-    Value,
     deciding_samples,
     is_mechanics,
     not_default,

@@ -20,7 +20,6 @@ a missing one is detected. This module also defines what a parameter change affe
 
 from __future__ import annotations
 
-import enum
 import json
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -29,30 +28,21 @@ from typing import Any  # Any: values of JSON
 import attrs
 
 from impact_rig import codec
+from impact_rig.config.tree import Value
 from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import InstrumentSetup
 from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.simtime import stamp_ns
-
-Value = bool | int | float | str | tuple[str, ...]
+from impact_rig.states import Word
 
 PUBLISHING_SECTIONS = ("time.", "step.", "pluck.", "output.")
 """Sections that change when and what is published, but no sample: they are not in the journal."""
 SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they affect samples
 
 
-class InputKind(enum.Enum):
+class InputKind(Word):
     """Kind of a journal entry; `doc` is the meaning of the entry's other members."""
-
-    doc: str
-
-    def __new__(cls, value: str, doc: str = "") -> InputKind:  # looked up by value alone
-        """Create a member whose value is the word in the entry."""
-        member = object.__new__(cls)
-        member._value_ = value
-        member.doc = doc
-        return member
 
     START = "start", "Scan 0 of a new rig; text = version of impact_rig, values = what differs from the default rig."
     RESET = "reset", "Scan 0 of the same rig after a reset; text and values as for `start`."

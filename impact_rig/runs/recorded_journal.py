@@ -30,12 +30,13 @@ import numpy as np
 
 from impact_rig import codec, topics
 from impact_rig.blocks import TEXT, TEXT_BYTES, Column, Table, index, time
+from impact_rig.config.tree import Value
 from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.recording import Run
 from impact_rig.recording.reader import Message
 from impact_rig.rig.config import RigConfig, to_flat
-from impact_rig.rig.journal import BEGINNINGS, InputKind, JournalEntry, Value, decode
+from impact_rig.rig.journal import BEGINNINGS, InputKind, JournalEntry, decode
 from impact_rig.simtime import NS_PER_S
 
 COLUMNS = (
