@@ -81,6 +81,11 @@ def number(context: LaunchContext, name: str) -> float:
         raise ConfigError(f"launch argument {name}:={text(context, name)} must be a number, such as 0.5") from None
 
 
+def is_true(context: LaunchContext, name: str) -> bool:
+    """Return whether the value of a launch argument, `true` or `false`, is `true`."""
+    return text(context, name) == "true"
+
+
 def names_in(context: LaunchContext, name: str) -> list[str]:
     """Return the names in a launch argument, separated by commas and possibly blanks."""
     return [part.strip() for part in text(context, name).split(",") if part.strip()]
@@ -93,14 +98,9 @@ def parameters_of_rig(context: LaunchContext, file: RigConfig) -> dict[str, Any]
     are the analysis and the recorder.
     """
     given = overrides(context)
-    if text(context, "mode"):
-        given["time.mode"] = text(context, "mode")
-    if text(context, "factor"):
-        given["time.factor"] = number(context, "factor")
-    if text(context, "start_wait"):
-        given["time.start_wait_s"] = number(context, "start_wait")
-    if text(context, "autostart"):
-        given["output.autostart"] = text(context, "autostart") == "true"
+    for name, read in (("mode", text), ("factor", number), ("start_wait", number), ("autostart", is_true)):
+        if text(context, name):
+            given[PARAMETERS[name]] = read(context, name)
     if text(context, "frame_prefix") != "auto":
         given["output.frame_prefix"] = text(context, "frame_prefix") or "/"
     peers = names_in(context, "peers")
@@ -199,7 +199,7 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     follow_rig_time = {"use_sim_time": config.time.is_simulated}
     autostart = {"autostart": config.output.autostart}
     required = required_nodes(context)
-    seen = {name: text(context, name) == "true" for name in ("plot", "lab", "rviz", "state_publisher")}
+    seen = {name: is_true(context, name) for name in ("plot", "lab", "rviz", "state_publisher")}
     clock = graph.clock_remapping(text(context, "clock"))
     prefix = graph.frame_prefix(namespace_of(context), config.output.frame_prefix)
     enclave = text(context, "enclave")

@@ -172,7 +172,7 @@ def patiently() -> None:
 
 
 class RigGoneError(GoneError):
-    """Loss of the rig that received a command: it ended or was replaced before it answered, so waiting is pointless."""
+    """Loss of the rig that a client addresses: it ended, was replaced or became silent, so waiting is pointless."""
 
 
 class Activation:

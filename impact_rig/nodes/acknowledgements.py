@@ -143,7 +143,10 @@ class AckWindow:
         return True
 
     def room(self) -> int:
-        """Return how many more blocks may be published now, before a peer must acknowledge; can be negative."""
+        """Return how many more blocks may be published now, before a peer must acknowledge; without peers, the window.
+
+        It is negative after the window was reduced below the number of outstanding blocks.
+        """
         return self.window - self.outstanding()
 
     def outstanding(self) -> int:
@@ -239,11 +242,11 @@ class Readers:
         self._polled_at = -GRAPH_POLL_S
 
     def missing(self) -> tuple[str, ...]:
-        """Return the names of the expected peers that are not connected yet, in alphabetical order."""
+        """Return the names of the expected peers that `all_matched` has not found connected so far, sorted."""
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:
-        """Return whether a peer is still missing more than `patience_s` seconds after the call of `expect`."""
+        """Return whether a peer is in `missing` more than `patience_s` seconds after the call of `expect`."""
         return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
 
     def all_matched(self) -> bool:

@@ -134,7 +134,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return the state of the measurement, or `no_scans` if no block of scans has arrived for two seconds."""
+        """Return the state of the measurement; `no_scans` before the first block and after two seconds without one."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
             return NodeState(words.NO_SCANS, "no scans received yet")
@@ -147,7 +147,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def health(self) -> tuple[Level, str]:
         """Return level and message of diagnostics.
 
-        The level is a warning if the node is inactive, if scans arrive without calibration, or if scans were lost.
+        The level is a warning if the node is inactive, if scans arrive without calibration, or if scans were lost;
+        otherwise it is OK, also if DT cannot be measured.
         """
         if self._tracker is None:
             return Level.WARN, self.state

@@ -69,8 +69,8 @@ class Refusals:
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     """Return a wrapper of `callback` that passes any exception to `report` instead of raising it.
 
-    `report` gets the name of the callback and a description of the exception. As with `with_info`, `callback` gets the
-    arguments one by one.
+    `report` gets the name of the callback and a description of the exception, and the wrapper returns None. As with
+    `with_info`, `callback` gets the arguments one by one.
     """
 
     @functools.wraps(callback)
@@ -104,10 +104,11 @@ def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
-    """Return a wrapper of a service callback that answers with an error instead of raising an exception.
+    """Return a wrapper of a service callback that answers the request instead of raising an exception.
 
-    It also protects rclpy's own services: their parameter services raise if a request has an unknown parameter type.
-    `refuse` is called with the description of the exception.
+    `refuse` is called with the description of the exception. The response is the one given, with default values; a
+    request to set parameters is rejected with that description. This also protects rclpy's own parameter services,
+    which raise if a request has an unknown parameter type.
     """
 
     @functools.wraps(callback)
@@ -184,7 +185,7 @@ class CpuMeter:
 
 
 def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
-    """Return the most severe level among (level, message) pairs, and the messages of that level, joined by "; "."""
+    """Return the most severe level of (level, message) pairs, OK without any, and its messages, joined by "; "."""
     level = max((found for found, _ in statuses), default=Level.OK)
     return level, "; ".join(message for found, message in statuses if found == level and message)
 
@@ -677,7 +678,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def present(self) -> NodeState:
         """Return the node's present state for diagnostics, in any lifecycle state.
 
-        While the node is not active, the state is `inactive`; its reason is the lifecycle state and a recent error.
+        While the node is not active, the state is `inactive`. Its reason is the lifecycle state, with an error of the
+        last five seconds or the one that prevented `configure`.
         """
         if self.active:
             return self.doing()
@@ -719,7 +721,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return level and message for diagnostics: those of `health`, together with a caught error that is recent."""
+        """Return level and message for diagnostics: those of `health`, with the recent error that `present` names."""
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return worst(self.health(), (Level.ERROR, message))

@@ -58,7 +58,8 @@ EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 def make_executor(context: Any = None) -> Any:
     """Return a new executor for a ROS context (default: the global one), of the kind that needs least processor time.
 
-    It is an events executor if this rclpy has one, otherwise rclpy's default executor.
+    It is an events executor, unless this rclpy has none or `IMPACT_RIG_EXECUTOR` is `default`; then it is rclpy's
+    default executor.
     """
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}

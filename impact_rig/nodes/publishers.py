@@ -172,7 +172,6 @@ class Publishers:
         # enough for all blocks that may be published and not acknowledged, so that none is overwritten
         in_window = (config.time.ack_window + 1) * math.ceil(config.output.monitor_rate_hz / per_second + 1)
         often = [topics.JOINT_STATES, *MONITORS.values()]
-        self._may_overflow = _may_overflow(config)
         depths = dict.fromkeys(topics.BULKY, depth)
         depths |= dict.fromkeys(often, max(topics.DATA_DEPTH, in_window))
         node.outputs |= {
@@ -207,8 +206,9 @@ class Publishers:
     def block(self, block: Block) -> None:
         """Publish all messages of a block, its scans last: a subscriber that has the scans has the complete block.
 
-        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. All messages are
-        rendered before the first is sent, because sending evicts the caches needed for rendering.
+        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. Of a block whose
+        scans a fault withholds, the other messages are published. All messages are rendered before the first is sent,
+        because sending evicts the caches needed for rendering.
         """
         assert self._monitors is not None
         rendered = {
@@ -218,9 +218,10 @@ class Publishers:
         }
         scans = rendered.pop(topics.SCAN, None)
         messages = (*rendered.items(), *self._monitors.messages(block, self._heard))
+        may_overflow = _may_overflow(self._node.settings)
         for number, (topic, data) in enumerate(messages, 1):
             self._node.send(topic, data)
-            if self._may_overflow and (number % QUEUE == 0 or number == len(messages)):
+            if may_overflow and (number % QUEUE == 0 or number == len(messages)):
                 for sent in {one: None for one, _ in messages[:number]}:
                     self._settle(sent)
         if scans is not None:
@@ -263,7 +264,6 @@ class Publishers:
 
     def configuration(self, rig: Rig) -> None:
         """Publish the rig's configuration, and its calibration (`daq/info`) if it has changed; update the monitors."""
-        self._may_overflow = _may_overflow(rig.config)
         info = rig.info()
         noise = noise_of(info)
         decides = rig.config.daq, rig.config.output, attrs.evolve(rig.config.instruments, faults=FaultPlan()), noise
@@ -278,7 +278,7 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration of the rig and its appearance (URDF), even before the rig starts.
+        """Publish the configuration of the rig and, if changed, its appearance (URDF), even before the rig starts.
 
         A recorder waits for the configuration before it begins its run.
         """

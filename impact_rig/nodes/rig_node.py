@@ -65,7 +65,10 @@ class RigNode(ManagedNode[RigConfig]):
         return self.settings.output.autostart
 
     def configure(self) -> None:
-        """Check that the rig can be built, load compiled code, create the publishers, and wait for discovery."""
+        """Check that the rig can be built, load compiled code, create the publishers, and wait until discovery is over.
+
+        If the lock file shows every other rig of the namespace, there is no need to wait.
+        """
         Rig(self.settings).advance(WARM_UP_NS)
         self._session.configure()
         # wait here, so that a client that finds the node active may command it at once
@@ -73,7 +76,10 @@ class RigNode(ManagedNode[RigConfig]):
             time.sleep(max(0.0, self._discovered_at - time.monotonic()))
 
     def activate(self) -> None:
-        """Start the rig as soon as no other rig publishes in this namespace."""
+        """Start the rig as soon as no other rig is in this namespace and, in real time, its peers have subscribed.
+
+        The wait for peers ends after `time.start_wait_s`.
+        """
         self._session.activate()
 
     def deactivate(self) -> None:
@@ -81,7 +87,11 @@ class RigNode(ManagedNode[RigConfig]):
         self._session.deactivate()
 
     def settings_changed(self, settings: RigConfig, changes: dict[str, Any]) -> None:
-        """Apply new, validated settings to the running rig."""
+        """Apply new, validated settings to the rig, or to the next one if none has started.
+
+        Raises:
+            ImpactRigError: the rig rejects the settings; nothing is changed.
+        """
         self._session.change(settings, changes)
 
     def rig_time_ns(self) -> int | None:

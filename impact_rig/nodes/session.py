@@ -43,6 +43,7 @@ from impact_rig import codec, states, topics
 from impact_rig.blocks import Table, joined
 from impact_rig.errors import CodecError, CommandError, describe
 from impact_rig.instruments.section import channels_of
+from impact_rig.names import one_line
 from impact_rig.nodes.acknowledgements import REPEATED_S, AckWindow, Readers
 from impact_rig.nodes.managed import Done, ManagedNode, NodeState
 from impact_rig.nodes.pacing import Pacer, WorkTimer
@@ -261,7 +262,6 @@ class Session:
         self._steps_left, self._stepped_at = 0, -IDLE_S  # blocks owed, and time of the last step request
         self._stepping: list[Done] = []
         self._pausing: list[Done] = []
-        self._base_ns = 0
         self._history_settled = self._active = False
         self._timer = WorkTimer(node, self._on_timer)
         self._worked_at = self._used_s = self._slice_began = 0.0
@@ -333,21 +333,18 @@ class Session:
 
         In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`.
         """
-        timing = self.node.settings.time
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
         self.readers = Readers(self.node, self.node.outputs[topics.SCAN.name])
-        self.readers.expect(timing.peers)
-        if self.is_realtime and timing.peers:
-            names = ", ".join(self.readers.missing())
-            wait = f"waiting for peer {names} to subscribe before scan 0, at most {timing.start_wait_s:g} s"
-            self.node.get_logger().info(wait)
+        self.readers.expect(self.node.settings.time.peers)
         self._history_settled, self._active = False, True
         self._steps_left, self.counts, self._starved_at = 0, Counts(), None
         self._timer.start(AHEAD_PERIOD_S, 0.0)
-        if self.reason_not_ready() is None:
+        reason = self.reason_not_ready()
+        if reason is None:
             self._begin()
         else:
+            self.node.get_logger().info(one_line(reason.reason))
             self.publishers.announce(self.node.settings)
 
     def reason_not_ready(self) -> NodeState | None:
@@ -382,10 +379,10 @@ class Session:
             for _message in take_messages(subscription):
                 self.node.refuse("inactive", f"{subscription.topic_name}: sent before this rig started")
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        self._base_ns = time.time_ns() if self.is_realtime else 0
-        # created together with the stamp: both mean the same instant
+        start_ns = time.time_ns() if self.is_realtime else 0
         self.pacer = Pacer(time.monotonic_ns, timing.factor)
-        self.rig = Rig(config, self._base_ns)
+        self.pacer.rebase(start_ns)  # together with the stamp: both mean the same instant
+        self.rig = Rig(config, start_ns)
         if self._latched is not None:
             self.rig.stop(self._latched)
             self._latched = None
@@ -442,7 +439,7 @@ class Session:
 
     def _wait_s(self) -> float:
         """Return the wall time until the next block is due in real time [s]; negative if it is overdue."""
-        return self.pacer.wait_ns(self.running().block_end_ns(1) - self._base_ns) / NS_PER_S
+        return self.pacer.wait_ns(self.running().block_end_ns(1)) / NS_PER_S
 
     def _on_timer(self) -> None:
         self.work()
@@ -519,7 +516,7 @@ class Session:
 
         Blocks that are left are published by the next call.
         """
-        due_ns = self._base_ns + self.pacer.due_ns(self._simulated_ns(rig))
+        due_ns = self.pacer.due_ns(self._simulated_ns(rig))
         while True:
             until_ns = min(due_ns, rig.frontier_ns + CATCH_UP_NS)
             self._advance(rig, until_ns)
@@ -527,12 +524,12 @@ class Session:
                 return
 
     def _simulated_ns(self, rig: Rig) -> int:
-        """Return the rig time since the start that is simulated [ns], for the pacer.
+        """Return the rig time up to which the rig is simulated [ns], for the pacer.
 
         A part of a block counts, because a block may be longer than the lag that the pacer accepts. The last tick does
         not count, because more of it may be simulated than was due.
         """
-        return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS) - self._base_ns
+        return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS)
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
         """Publish as many blocks as peers and requested steps allow, until `deadline` [s]; not for real time.
@@ -584,7 +581,7 @@ class Session:
             if not block.lost:
                 self.window.published(block.scan.stamp_ns)
             if not self.paused:
-                self.pacer.published(block.end_ns - self._base_ns)
+                self.pacer.published(block.end_ns)
             self.counts.take(block)
         if blocks:
             self._starved_at = None

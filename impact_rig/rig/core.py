@@ -343,7 +343,7 @@ class Rig:
             self._simulate(min(needed - self._ticks, BATCH_TICKS))
 
     def _simulate(self, ticks: int) -> None:
-        """Simulate at most `ticks` ticks; fewer if an event occurs in them."""
+        """Simulate `ticks` ticks; fewer up to a trip, a timeout, an event of the stream or a change of the clock."""
         self._time_out_if_due()  # immediately, if the timeout was shortened
         due = self._timeout_tick()
         if due is not None:
