@@ -47,8 +47,7 @@ examples:
   {program} --ros-args -p {example}
   {program} --ros-args -r __ns:=/rig --params-file my.yaml
 
-The program ends with exit code 0 after Ctrl-C or SIGTERM, and with 2 if its arguments are invalid. A node with invalid
-parameter values logs why and stays unconfigured.
+Exit code: 0 after Ctrl-C or SIGTERM; any other if the program failed, with the reason in its last line.
 
 {more}
 """
@@ -58,7 +57,10 @@ NODES: dict[str, Use] = {
     "rig": (
         "Simulated vibration test rig: publishes the readings of its instruments, and obeys commands to its shaker.",
         "barriers.gap_m:=0.004",
-        "Parameters with units and ranges: config/nominal.yaml; `impact-rig check FILE` validates a parameter file.",
+        (
+            "Parameters with units and ranges: config/nominal.yaml. `impact-rig check FILE` validates such a file.\n"
+            "With invalid values the node logs why and stays unconfigured: correct them, and start it again."
+        ),
     ),
     "analysis": (
         "Analysis: computes displacement transmissibility and impacts from the scans of a rig (topic daq/scan).",
