@@ -37,19 +37,30 @@ LARGEST_INDEX = 2.0**53  # up to which integers are exact in a table
 
 @attrs.frozen
 class Column:
-    """One column of a table, with its allowed values: `codec.checked` rejects all others."""
+    """One column of a table, with its allowed values: `codec.checked` rejects all others.
 
-    name: str  # name of the column
-    unit: str  # SI unit, `-` for none, or text if it depends on the row
-    doc: str  # description, including the values that are not measurements
-    kind: str = NUMBER  # numpy type code
+    Attributes:
+        name: name of the column.
+        unit: SI unit, `-` for none, or text if it depends on the row.
+        doc: description, including the values that are not measurements.
+        kind: numpy type code.
+        default: value for tables of an earlier version that lack the column; None if the column is required.
+        least: least value that is allowed; a column with a bound contains no NaN.
+        most: largest value that is allowed.
+        whole: whether the values are integers.
+        is_part: permission for a text to be part of a longer one: cut within a character, it need not be UTF-8 by
+            itself.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    kind: str = NUMBER
     default: float | str | None = attrs.field(default=None, kw_only=True)
-    """Value for tables of an earlier version that lack the column; None if the column is required."""
-    least: float = attrs.field(default=-math.inf, kw_only=True)  # least value; a column with a bound contains no NaN
-    most: float = attrs.field(default=math.inf, kw_only=True)  # largest value
-    whole: bool = attrs.field(default=False, kw_only=True)  # whether values are integers
+    least: float = attrs.field(default=-math.inf, kw_only=True)
+    most: float = attrs.field(default=math.inf, kw_only=True)
+    whole: bool = attrs.field(default=False, kw_only=True)
     is_part: bool = attrs.field(default=False, kw_only=True)
-    """Permission for a text to be part of a longer one: cut within a character, it need not be UTF-8 by itself."""
 
     def __attrs_post_init__(self) -> None:
         assert self.kind == NUMBER or not self.is_bounded, f"{self.name}: a column with a bound must be {NUMBER}"

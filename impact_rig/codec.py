@@ -329,7 +329,7 @@ def _head(view: memoryview) -> _Head:
     cursor.u1("is_dense")
     trailing = len(cursor.view) - cursor.position
     if trailing > _MAX_TRAILING:
-        raise CodecError(f"{trailing} bytes follow the end of the message")
+        raise CodecError(f"{trailing} bytes follow the end of the message, allowed are {_MAX_TRAILING}")
     return _Head(bytes(view[_HEADER.size : start]), start, frame_id, width, dtype)
 
 
@@ -411,8 +411,10 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
         if kind == "string" and count == 1:
             found[path] = cursor.text(path)
             continue
-        if kind not in _PRIMITIVES or not 0 < count <= len(data):  # a definition may contain any count
-            raise CodecError(f"{path} is of type {kind}, and its count does not fit a message of {len(data)} bytes")
+        if kind not in _PRIMITIVES:
+            raise CodecError(f"{path} must be a number or a single string, got {count} x {kind}")
+        if not 0 < count <= len(data):  # a definition may contain any count
+            raise CodecError(f"{path} must have 1 to {len(data)} values in a message of that many bytes, got {count}")
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
         cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])
         values = form.unpack_from(cursor.view, cursor.take(form.size, path))
@@ -497,7 +499,7 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
         name = cursor.text("name of a field")
         offset, datatype, repeat = cursor.u4("offset"), cursor.u1("datatype"), cursor.u4("count")
         if not name or name in columns:
-            raise CodecError(f"names of fields must be unique and not empty, got {name!r}")
+            raise CodecError(f"names of fields must be unique and not empty, got {name!r}{' twice' if name else ''}")
         if datatype not in _FORMAT_OF_DATATYPE:
             raise CodecError(f"datatype of {name!r} must be 1 to 8, got {datatype}")
         if repeat == 1:

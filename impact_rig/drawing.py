@@ -178,10 +178,15 @@ def legend_outside(figure: Figure, axis: Axes, columns: int, **more: Any) -> Non
 
 @attrs.frozen(eq=False)
 class Line:
-    """Numbers of one case in a drawing, such as a curve, for the CSV file next to the figure."""
+    """Numbers of one case in a drawing, such as a curve, for the CSV file next to the figure.
 
-    label: str  # label of the case in the legend
-    columns: Mapping[str, Sequence[float] | NDArray[Any]]  # name with unit -> values, all of one length
+    Attributes:
+        label: label of the case in the legend.
+        columns: values by name with unit; all of one length.
+    """
+
+    label: str
+    columns: Mapping[str, Sequence[float] | NDArray[Any]]
 
 
 class Drawn:

@@ -96,14 +96,21 @@ _ANY = frozenset(Situation)
 
 @attrs.frozen
 class Input:
-    """Service or command topic of a node, with the situations in which the node accepts it."""
+    """Service or command topic of a node, with the situations in which the node accepts it.
 
-    name: str  # topic, or private service name
-    type_name: str  # ROS interface; empty for a topic, whose type the table of topics has
-    node: str  # node that accepts it
-    doc: str  # its effect
+    Attributes:
+        name: topic, or private service name.
+        type_name: ROS interface; empty for a topic, whose type is in `impact_rig.topics`.
+        node: node that accepts it.
+        doc: its effect.
+        taken: situations in which the node accepts it; in all others it rejects and counts it, with a message.
+    """
+
+    name: str
+    type_name: str
+    node: str
+    doc: str
     taken: frozenset[Situation]
-    """Situations in which the node accepts the input; in all others it rejects and counts it, with a message."""
 
 
 COMMANDS = (
@@ -203,14 +210,23 @@ ROS_TOPICS = ("/parameter_events", "/rosout", "~/transition_event")
 
 @attrs.frozen
 class Node:
-    """Topics and clock of one node; the services are those of its name in `SERVICES`."""
+    """Topics and clock of one node; the services are those of its name in `SERVICES`.
+
+    Attributes:
+        name: name of the node.
+        program: program that runs it.
+        publishes: topics in addition to those of `impact_rig.topics` that name it as publisher.
+        subscribes: topics that it reads.
+        subscribes_recorded: whether it also reads all topics that belong to every run.
+        makes_time: whether it publishes the clock; other nodes follow it if rig time is not the system time.
+    """
 
     name: str
     program: str
-    publishes: tuple[str, ...] = ()  # in addition to the topics that name it as publisher
+    publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
-    subscribes_recorded: bool = False  # all topics that belong to every run
-    makes_time: bool = False  # publishes the clock; other nodes follow it if rig time is not the system time
+    subscribes_recorded: bool = False
+    makes_time: bool = False
 
     def published(self, table: Iterable[topics.Topic]) -> list[str]:
         """Return the topics that the node publishes, as relative names, without those of ROS itself."""

@@ -13,8 +13,9 @@
 # limitations under the License.
 """Rig time: integer nanoseconds, sample stamps computed from the index, and the command grid.
 
-Rig time *is* DAQ time. Nothing below the pacing layer reads a wall clock, and no period is ever accumulated: at 25 600
-S/s a period is 39 062.5 ns, so the stamp of scan i is `start_ns + i * 10**9 // rate_hz`.
+Rig time *is* the time of the data acquisition. The rig itself reads no wall clock; only the nodes do, to pace it. No
+period is ever accumulated: at 25 600 scans/s a period is 39 062.5 ns, so the stamp of scan i is
+`start_ns + i * 10**9 // rate_hz`.
 """
 
 from __future__ import annotations

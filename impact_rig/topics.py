@@ -60,19 +60,32 @@ class Qos(enum.Enum):
 
 @attrs.frozen(eq=False)
 class Topic:
-    """Description of one topic: name, type, quality of service, publisher and content."""
+    """Description of one topic: name, type, quality of service, publisher and content.
 
-    name: str  # relative topic name, or an absolute one by convention
-    type_name: str  # ROS interface, `package/msg/Type`
+    Attributes:
+        name: topic name, relative to the rig's namespace, or absolute by convention (`/clock`).
+        type_name: ROS interface, `package/msg/Type`.
+        qos: quality of service.
+        publisher: node that publishes it, or `client`.
+        doc: content of a message.
+        fields: columns of a table, or the fields that are filled in another message.
+        columns: row type of a table; None for a topic without tables.
+        frame_id: frame of the messages.
+        recorded: whether it belongs to every run; data for plotters can be derived from the recorded topics.
+        further: numpy type of the columns that may follow `fields` in a table; empty: any, as a later version may add
+            columns.
+    """
+
+    name: str
+    type_name: str
     qos: Qos
-    publisher: str  # node that publishes it, or `client`
+    publisher: str
     doc: str
-    fields: tuple[Column, ...]  # columns of a table, or the fields that are filled in another message
+    fields: tuple[Column, ...]
     columns: np.dtype[np.void] | None = None
     frame_id: str = ""
-    recorded: bool = True  # whether it belongs to every run; data for plotters can be derived from the recorded topics
+    recorded: bool = True
     further: str = ""
-    """Numpy type of the columns that may follow `fields` in a table; empty: any, as a later version may add columns."""
 
 
 TABLE = "sensor_msgs/msg/PointCloud2"  # type of every table

@@ -654,11 +654,14 @@ class Client:
     def pause(self, paused: bool = True) -> None:
         """Pause the rig, or resume it.
 
+        A pause returns when every peer has processed all published blocks, or is silent.
+
         Args:
             paused: whether to pause; False resumes.
 
         Raises:
             ImpactRigError: the rig did not pause or resume; the message says why.
+            TimeoutError: the rig did not answer within 10 s.
         """
         response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True)
         if not response.success:

@@ -160,11 +160,17 @@ class Level(enum.IntEnum):
 
 @attrs.frozen
 class NodeState:
-    """State of a node for its diagnostics: a word of `impact_rig.states`, with reason and time of its beginning."""
+    """State of a node for its diagnostics: a word of `impact_rig.states`, with reason and time of its beginning.
 
-    word: enum.StrEnum  # the most severe word that applies
-    reason: str = ""  # readable reason; empty if the word says enough
-    since_ns: int | None = None  # rig time at which it began; None: when the node reported it first
+    Attributes:
+        word: the most severe word that applies.
+        reason: readable reason; empty if the word says enough.
+        since_ns: rig time at which the state began [ns]; None stands for the time of its first report.
+    """
+
+    word: enum.StrEnum
+    reason: str = ""
+    since_ns: int | None = None
 
 
 @attrs.define

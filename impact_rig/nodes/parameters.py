@@ -49,11 +49,17 @@ NO_SIM_TIME = "must be false for this node, which publishes the clock"
 
 @attrs.frozen
 class Proposal(Generic[S]):
-    """Change of parameters that the validator has accepted and that is not applied yet."""
+    """Change of parameters that the validator has accepted and that is not applied yet.
 
-    stored: list[Parameter]  # the parameters as they will be stored
-    settings: S  # all parameters as one value
-    changes: dict[str, Value]  # the new values, by name
+    Attributes:
+        stored: the parameters to change, with the values that ROS will store.
+        settings: all parameters of the node after the change, as one object.
+        changes: the values that differ from the present ones, by name.
+    """
+
+    stored: list[Parameter]
+    settings: S
+    changes: dict[str, Value]
 
 
 class Parameters(Generic[S]):

@@ -129,19 +129,31 @@ class Block:
     """Block of consecutive scans of a rig, with the true motion, and with the contacts that ended, during them.
 
     If a fault withholds the scans (`lost`), all other tables are still published.
+
+    Attributes:
+        number: number of the block since the start or reset, from 0.
+        first_scan: index of its first scan since the start or reset, from 0.
+        end_ns: stamp of the first scan after the block: the time at which it is complete [ns].
+        scan: table of `daq/scan`.
+        impacts: table of `truth/impacts`, the contacts that ended in this block; None if there were none.
+        monitor_states: true motion at the instants of the monitor topics, rows of `blocks.TRUTH_SCAN`, with `time`
+            since the stamp of `scan`.
+        monitor_scans: indices of the rows of `scan` at these instants.
+        truth: table of `truth/scan`; None unless configured.
+        faults: table of `truth/faults`, the faults that start or end in this block; None if there are none.
+        lost: whether a `lost_block` fault acts on one of the scans, which are then withheld.
     """
 
-    number: int  # number of blocks since the start or reset
-    first_scan: int  # index of the first scan since the start or reset
-    end_ns: int  # stamp of the first scan after the block: the time at which it is complete
-    scan: Table  # `daq/scan`
-    impacts: Table | None  # `truth/impacts`: the contacts that ended in this block; None if there were none
+    number: int
+    first_scan: int
+    end_ns: int
+    scan: Table
+    impacts: Table | None
     monitor_states: NDArray[np.void]
-    """True motion at the instants of the monitor topics: rows of `blocks.TRUTH_SCAN`, time since `scan`'s stamp."""
-    monitor_scans: NDArray[np.int64]  # indices of the rows of `scan` at the monitor instants
-    truth: Table | None  # `truth/scan`, if configured
-    faults: Table | None  # `truth/faults`: faults that start or end in this block; None if there are none
-    lost: bool  # a lost_block fault acts on one of its scans: the scans are withheld, truth and monitors are not
+    monitor_scans: NDArray[np.int64]
+    truth: Table | None
+    faults: Table | None
+    lost: bool
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
         """Return the tables of the block in the order of publication: scans first, then their truth."""
@@ -489,8 +501,8 @@ class Rig:
         if abs(off_ns) * rate * 4 > NS_PER_S:
             self._refused_blocks += 1
             raise CommandError(
-                f"the stamp of a block of samples must be the time of a sample: {stamp_ns} ns is {off_ns} ns off the "
-                "nearest one"
+                f"the stamp of a block of samples must be the time of a sample, {rate} per second from "
+                f"{self.start_ns} ns on: {stamp_ns} ns is {off_ns} ns off the nearest one"
             )
         return sample
 
@@ -515,7 +527,7 @@ class Rig:
         config = from_flat(self.config, changes)
         changed = differences(config, self.config)
         if not changed.keys().isdisjoint(("daq.rate_hz", "daq.block_scans")):
-            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start")
+            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start: make a new rig to change them")
         self.adopt(config, changed)
         return config
 

@@ -53,12 +53,19 @@ OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 @attrs.frozen
 class Trip:
-    """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun."""
+    """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun.
 
-    tick: int  # tick within the simulated ones, from 0
-    reason: str  # OVER_TRAVEL, OVER_CURRENT or UNDERRUN
-    measured: float  # travel [m], current [A rms], or number of the missing sample
-    limit: float  # limit of travel [m] or current [A rms]; 0 for an underrun
+    Attributes:
+        tick: tick of 10 ms in which it tripped, from 0 for the first of the simulated ones.
+        reason: `over_travel`, `over_current` or `underrun`.
+        measured: travel [m], current [A rms], or number of the missing sample.
+        limit: limit of travel [m] or current [A rms]; 0 for an underrun.
+    """
+
+    tick: int
+    reason: str
+    measured: float
+    limit: float
 
     def message(self) -> str:
         """Return the reason with the measured value and its limit, as one line for users."""

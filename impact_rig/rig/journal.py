@@ -77,16 +77,28 @@ RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # entries that 
 
 @attrs.frozen
 class JournalEntry:
-    """Entry of a journal: one input that changed the rig, or a result that a re-simulation must reproduce."""
+    """Entry of a journal: one input that changed the rig, or a result that a re-simulation must reproduce.
 
-    sequence: int  # number of the entry, from 0 at `start` or `reset`
+    Attributes:
+        sequence: number of the entry, from 0 at `start` or `reset`.
+        kind: kind of the entry; `kind.doc` says what the members `name` to `fault` mean. Unused members are empty.
+        sample: index of the first scan that it acts on, from 0 at `start` or `reset`.
+        stamp_ns: stamp of that scan [ns].
+        name: subject: a command, the quantity that tripped, an event of the stream.
+        value: number.
+        text: text.
+        values: configuration values by full name.
+        fault: instrument fault.
+    """
+
+    sequence: int
     kind: InputKind
-    sample: int  # index of the first scan that it acts on
-    stamp_ns: int  # stamp of that scan
-    name: str = ""  # subject: a command, the quantity that tripped, an event of the stream
+    sample: int
+    stamp_ns: int
+    name: str = ""
     value: float | None = None
     text: str = ""
-    values: Mapping[str, Value] = attrs.field(factory=dict)  # configuration values by full name
+    values: Mapping[str, Value] = attrs.field(factory=dict)
     fault: Fault | None = None
 
     @property

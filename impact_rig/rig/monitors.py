@@ -64,11 +64,17 @@ def taps(step: int) -> NDArray[np.float64]:
 
 @attrs.frozen
 class Smoothed:
-    """Filtered readings at one monitor instant."""
+    """Filtered readings at one instant of the monitor topics.
 
-    sample: int  # number of the scan of this instant, since the start or reset
-    values: dict[str, float]  # filtered reading of each channel
-    status: int  # status bits of the scans around the instant: bit j for channel j over range
+    Attributes:
+        sample: index of the scan at this instant, since the start or reset.
+        values: filtered reading by channel.
+        status: bit j is set if channel j was over range in a scan between the instants before and after.
+    """
+
+    sample: int
+    values: dict[str, float]
+    status: int
 
 
 class AntiAlias:

@@ -37,13 +37,20 @@ Samples = NDArray[np.float64]
 
 
 class Sent(NamedTuple):
-    """Block of samples on shaker/waveform, as it was recorded."""
+    """Block of samples on shaker/waveform, as it was recorded.
 
-    stamp_ns: int  # time of the first sample
+    Attributes:
+        stamp_ns: rig time of the first sample [ns].
+        samples: samples [A, m or V by `drive.kind`], shape (n,).
+        received_ns: rig time at the end of the newest scans when the block was received [ns].
+        is_doubtful: whether a reset may have discarded the block; then it is used only for samples that no other block
+            contains.
+    """
+
+    stamp_ns: int
     samples: Samples
-    received_ns: int = 0  # end of the newest scans when the block was received
+    received_ns: int = 0
     is_doubtful: bool = False
-    """True if a reset may have discarded the block; then it is used only for samples that no other block contains."""
 
 
 def resimulate(
@@ -244,7 +251,7 @@ def apply(rig: Rig, change: JournalEntry) -> None:
         rig.inject(change.fault)
     elif change.kind is InputKind.CLEAR_FAULT:
         if change.value is not None and not change.value.is_integer():
-            raise ConfigError(f"journal entry {change.sequence}: there is no fault with the number {change.value!r}")
+            raise ConfigError(f"journal entry {change.sequence}: number of a fault must be whole, got {change.value!r}")
         rig.clear_fault(None if change.value is None else int(change.value))
     elif change.kind not in RESULTS:
         raise ConfigError(f"journal entry {change.sequence}: {change.kind.value!r} is not allowed within a journal")

@@ -47,11 +47,17 @@ def monitor_step(rate_hz: int, monitor_hz: float) -> int:
 
 
 class Scans(NamedTuple):
-    """Selection of scans at equal distances."""
+    """Selection of scans at equal distances.
 
-    first: int  # number of the first selected scan, since the start or reset
-    step: int  # scans from one selected scan to the next
-    rate_hz: int  # scans per second
+    Attributes:
+        first: index of the first selected scan, since the start or reset.
+        step: number of scans from one selected scan to the next.
+        rate_hz: scans per second.
+    """
+
+    first: int
+    step: int
+    rate_hz: int
 
 
 SCANS = Fields(Scans, (int, int, int))

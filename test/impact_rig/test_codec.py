@@ -239,7 +239,7 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"width": 2**32 - 1}, "must be width [*] point_step = 4294967295 [*] 9"),
         ({"fields": []}, f"number of fields must be 1 to {MAX_COLUMNS}, got 0"),
         ({"field_count": 2**32 - 1}, "number of fields must be"),
-        ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a'"),
+        ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a' twice$"),
         ({"fields": [(b"\0", 0, 8, 1)]}, "unique and not empty, got ''"),
         ({"fields": [(b"a\0", 0, 9, 1)]}, "datatype of 'a' must be 1 to 8, got 9"),
         ({"fields": [(b"a\0", 0, 8, 0)]}, "count of 'a' must be 1"),
@@ -252,7 +252,7 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"row_step": 17}, "row_step 17 and length of data 18"),
         ({"data_length": 2**32 - 1}, "length of data 4294967295"),
         ({"width": MANY, "row_step": 9 * MANY, "data_length": 9 * MANY}, f"data needs {9 * MANY} bytes"),
-        ({"trailing": bytes(4)}, "4 bytes follow the end"),
+        ({"trailing": bytes(4)}, "4 bytes follow the end of the message, allowed are 3"),
     ],
 )
 def test_an_inconsistent_message_is_rejected_with_the_reason(wrong, message):
