@@ -830,7 +830,7 @@ class Client:
     # Topics
 
     def collect(self, name: str, acknowledge: bool = False, timeout_s: float = DEFAULT_TIMEOUT_S) -> Collector:
-        """Subscribe to a topic of the topics table and keep all messages; return once a publisher is connected.
+        """Subscribe to a topic of this package and keep all messages; return once a publisher is connected.
 
         Args:
             name: topic name as in docs/reference/interface.md, such as `daq/scan`.
@@ -842,7 +842,7 @@ class Client:
             The messages as they arrive: `messages`, `tables()` and `last()`.
 
         Raises:
-            KeyError: the topics table has no topic of this name; use `listen` for other topics.
+            KeyError: there is no such topic in docs/reference/interface.md; use `listen` for other topics.
             TimeoutError: no publisher appeared in time.
         """
         topic = by_name(name)
@@ -903,13 +903,13 @@ class Client:
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, profile: QoSProfile | None = None
     ) -> Any:
-        """Subscribe to a topic of the topics table.
+        """Subscribe to a topic of `impact_rig.topics`, without waiting for a publisher.
 
         Args:
             topic: entry of `impact_rig.topics`.
             callback: function that gets each message and its info.
             raw: whether it gets the CDR bytes instead of the message.
-            profile: quality of service; None means that of the table.
+            profile: quality of service; None means that of the topic.
 
         Returns:
             The rclpy subscription.

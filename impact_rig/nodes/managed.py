@@ -379,11 +379,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.activation.callback(self.destroy_subscription, subscription)
 
     def publisher(self, topic: topics.Topic, depth: int | None = None) -> Publisher:
-        """Create the publisher of a topic of the topics table; ROS parameters (`qos_overrides`) can change its QoS.
+        """Create the publisher of a topic; ROS parameters (`qos_overrides`) can change its quality of service.
 
         Args:
-            topic: topic of the table.
-            depth: number of messages kept for a slow subscriber (default: that of the table).
+            topic: entry of `impact_rig.topics`.
+            depth: number of messages kept for a slow subscriber (default: that of the topic).
         """
         return self.create_publisher(
             messages.class_of(topic),
@@ -395,13 +395,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def subscribe(
         self, topic: topics.Topic, callback: Callable[..., None], raw: bool = False, depth: int | None = None
     ) -> Any:
-        """Create a subscription to a topic of the topics table; an exception in `callback` is logged and reported.
+        """Create a subscription to a topic; an exception in `callback` is logged and shown in diagnostics.
 
         Args:
-            topic: topic of the table.
+            topic: entry of `impact_rig.topics`.
             callback: called with each message, and with its info if it takes two arguments.
             raw: whether `callback` gets the message as CDR (serialised) bytes.
-            depth: length of the queue (default: that of the table).
+            depth: length of the queue (default: that of the topic).
         """
         return self.create_subscription(
             messages.class_of(topic),

@@ -61,7 +61,7 @@ TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in 
 
 
 def by_name(name: str) -> Topic:
-    """Return the row of the topics table with this name, relative (`daq/scan`) or absolute (`/clock`) as in the table.
+    """Return the topic of `TOPICS` with this name, relative (`daq/scan`) or absolute (`/clock`) as it is listed there.
 
     Raises:
         KeyError: no topic has this name.

@@ -68,7 +68,7 @@ Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
     """Create a node on the ROS domain of the environment; yield it with a function that runs its callbacks.
 
-    At the end of the block, the node is destroyed.
+    The function waits for callbacks, at most the given time [s]. At the end of the block, the node is destroyed.
     """
     context = Context()
     context.init(args=[])

@@ -77,7 +77,7 @@ def make_executor(context: Any = None) -> Any:
 
 
 def spin(executor: Any, seconds: float) -> None:
-    """Run the callbacks of an executor for this long [s], without returning to the caller after each of them."""
+    """Run the callbacks of an executor for `seconds` of wall time, without returning after each of them."""
     never: Future[None] = Future()
     executor.spin_until_future_complete(never, timeout_sec=seconds)
 

@@ -286,7 +286,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return
         self._waiting = False
         if self._configuration is None:
-            self.get_logger().warning("no message received on rig/configuration: the run contains no configuration")
+            waited = f"within {self.settings.configuration_wait_s:g} s"
+            self.get_logger().warning(f"no message received on rig/configuration {waited}: the run contains none")
         try:
             self._writer = self._open(self._configuration)
         except RecordingError as error:
@@ -398,7 +399,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
-            self.get_logger().warning(f"no message received on {names} in the first {AWAIT_S:g} s of the recording")
+            self.get_logger().warning(f"no message on {names} in the first {AWAIT_S:g} s: the recording begins without")
             self._awaited = set()
         if self._writer is not None:
             try:

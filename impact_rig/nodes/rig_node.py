@@ -38,8 +38,8 @@ class RigNode(ManagedNode[RigConfig]):
     """Lifecycle node whose activation starts the simulated rig, and whose deactivation ends it.
 
     Args:
-        discovery_s: minimum age of the node [s] after `configure`, so that it has discovered other rigs on its topics;
-            not needed if a lock shows them.
+        discovery_s: time [s] from the creation of the node until which `configure` waits, so that the node has
+            discovered other rigs on its topics; it does not wait if a lock file shows them.
         kwargs: passed to `ManagedNode`.
     """
 

@@ -20,7 +20,7 @@ the last update, so nothing is logged twice, and a fault that flickers does not 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import attrs
 
@@ -258,14 +258,11 @@ class RigState:
     def _log_faults(self, now: dict[int, str]) -> None:
         before, self._faults = self._faults, dict(now)
         started, ended = now.keys() - before.keys(), before.keys() - now.keys()
-        self._few([f"instrument fault {number} has started: {now[number]}" for number in started], self._warn)
-        self._few([f"instrument fault {number} has ended: {before[number]}" for number in ended], self._info)
-
-    def _few(self, lines: list[str], say: Callable[[str], None]) -> None:
-        for line in sorted(lines)[:MOST]:
-            say(line)
-        if len(lines) > MOST:
-            say(f"and {len(lines) - MOST} more faults")
+        for numbers, faults, verb, say in ((started, now, "started", self._warn), (ended, before, "ended", self._info)):
+            for number in sorted(numbers)[:MOST]:
+                say(f"instrument fault {number} has {verb}: {faults[number]}")
+            if len(numbers) > MOST:
+                say(f"{len(numbers) - MOST} further instrument faults have {verb}")
 
     def _info(self, text: str) -> None:
         self._node.get_logger().info(one_line(text))

@@ -126,7 +126,10 @@ class StandardServices:
         elif rig is None:
             tell(response.STATE_TRANSITION_ERROR, self._session.why_not())
         elif wanted == states.STATE_PLAYING and self._session.is_lockstep:
-            tell(response.STATE_TRANSITION_ERROR, "time.mode is lockstep: the rig advances by steps only")
+            tell(
+                response.STATE_TRANSITION_ERROR,
+                "time.mode is lockstep: the rig advances by steps only, so it cannot play",
+            )
         elif wanted == states.STATE_PLAYING:
             self._session.resume(self._done(tell, response.STATE_TRANSITION_ERROR))
         elif wanted == states.STATE_PAUSED:

@@ -156,7 +156,10 @@ class Block:
     lost: bool
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return the tables of the block in the order of publication: scans first, then their truth."""
+        """Return the tables of the block, each with its topic: the scans, unless they are withheld, then the truth.
+
+        A rig over ROS publishes the scans last.
+        """
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
         return [(topic, table) for topic, table in zip(order, tables, strict=True) if table is not None]
@@ -333,9 +336,9 @@ class Rig:
             until_ns: rig time [ns].
 
         Returns:
-            Blocks, oldest first. Of each, `scan` is the table of `daq/scan`; `number`, `first_scan` and `end_ns` say
-            when it was measured. `impacts`, `faults` and `truth` are tables of the true events and motion, or None.
-            `lost` says that a fault withholds the scans.
+            Blocks, oldest first; none if `until_ns` is before the end of the next one. Of each, `scan` is the table of
+            `daq/scan`; `number`, `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and `truth`
+            are tables of the true events and motion, or None. `lost` says that a fault withholds the scans.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
@@ -468,7 +471,7 @@ class Rig:
             values: samples [A, m or V by `drive.kind`], shape (n,).
 
         Returns:
-            Number of samples that arrived too late.
+            Number of samples that arrived after their time; they have no effect.
 
         Raises:
             CommandError: a value is not finite or exceeds the shaker, the samples reach beyond `drive.stream_buffer_s`,

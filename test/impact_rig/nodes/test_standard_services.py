@@ -247,7 +247,7 @@ def test_a_reset_supports_only_the_scope_of_the_state(user: User) -> None:
     assert user.state == PAUSED, "it moves by steps only"
     assert user.set(PLAYING) == (
         SetResponse.STATE_TRANSITION_ERROR,
-        "time.mode is lockstep: the rig advances by steps only",
+        "time.mode is lockstep: the rig advances by steps only, so it cannot play",
     )
     user.call("step_simulation", StepRequest(3))
     for scope in (ResetRequest.SCOPE_DEFAULT, ResetRequest.SCOPE_ALL, ResetRequest.SCOPE_TIME, 3, 4, 6, 8, 10, 254):

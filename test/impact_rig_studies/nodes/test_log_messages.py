@@ -85,6 +85,16 @@ def test_a_rig_logs_its_start_its_trips_and_peers_that_left(client: Client) -> N
     assert console.count("tripped") == 1, "once, however long it lasts"
 
 
+def test_of_many_faults_the_first_are_named_and_the_others_counted(client: Client) -> None:
+    console = Console(client)
+    host_rig(client, instruments__faults__planned=[FAULT] * 7)
+    client.wait_active("rig")
+    for verb, level in (("started", LoggingSeverity.WARN), ("ended", LoggingSeverity.INFO)):
+        client.step(20)
+        console.wait(level, f"2 further instrument faults have {verb}")
+        assert [console.count(f"instrument fault {number} has {verb}") for number in range(1, 8)] == [1] * 5 + [0] * 2
+
+
 def test_a_silent_peer_is_logged_once_and_its_return_too(client: Client) -> None:
     console = Console(client)
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.3)
