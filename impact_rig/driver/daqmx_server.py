@@ -110,7 +110,10 @@ class Service:
 
     @_served
     def CreateTask(self, request: Any, context: Any) -> dict[str, Any]:
-        """Create a task, or return the existing task of this name, as the request's `initialization_behavior` says."""
+        """Create a task, or return the existing task of this name, as the request's `initialization_behavior` says.
+
+        By default, an existing task is returned and a missing one is created.
+        """
         name, behavior = request.session_name, request.initialization_behavior
         is_new = behavior == NEW_SESSION or (behavior != ATTACH and name not in self.board.tasks)
         task = self.board.create(name) if is_new else self.board.find(name)
@@ -128,7 +131,7 @@ class Service:
 
     @_served
     def StopTask(self, request: Any, context: Any) -> None:
-        """Stop a task; if an error has ended it before, report that error."""
+        """Stop a task; if an error has ended it before, report that error after that."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
@@ -151,7 +154,7 @@ class Service:
 
     @_served
     def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
-        """Wait until all samples of a task are acquired or generated, at most the requested time."""
+        """Wait until all samples of a task are acquired or generated; report an error after the requested time."""
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
 
     @_served

@@ -93,7 +93,7 @@ class AnalogOutput:
 
     @property
     def buffered(self) -> int:
-        """Number of samples that were written and have not been played yet."""
+        """Number of samples that were written and have not been played yet; before `start`, those that wait for it."""
         if self.next_sample is None or not self._playing:
             return sum(map(len, self._waiting))
         return max(0, self.next_sample - self._level().sample)
@@ -105,12 +105,12 @@ class AnalogOutput:
 
     @property
     def late(self) -> int:
-        """Number of samples since the start that reached the rig too late, so they were not played."""
+        """Number of samples since the last `start` that reached the rig too late, so they were not played."""
         return self._level().late - self._before.late
 
     @property
     def missing(self) -> int:
-        """Number of samples since the start that had not arrived when the rig needed them."""
+        """Number of samples since the last `start` that had not arrived when the rig needed them."""
         return self._level().missing - self._before.missing
 
     def ready(self, count: int) -> bool:
@@ -239,7 +239,7 @@ class Acquisition:
 
     Attributes:
         next_scan: number of the next scan to be read; None until the first one is known.
-        lost: number of scans since the start that were not published, did not arrive or were not read in time.
+        lost: number of scans since the last `start` that were not published, did not arrive or were not read in time.
     """
 
     def __init__(self, rig: RigDriver, *, buffer_s: float = UNREAD_S) -> None:
@@ -259,7 +259,10 @@ class Acquisition:
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
 
     def start(self, scan: int | None = None) -> None:
-        """Keep the scans from number `scan` on (default: from the next one that arrives)."""
+        """Keep the scans from number `scan` on (default: from the next one that arrives), and count lost ones from 0.
+
+        Of the scans that were kept before, those from this number on can still be read; others are dropped.
+        """
         with self._rig.turns:
             if not self._started:
                 self._rig.connect(self._on_block)
@@ -293,7 +296,7 @@ class Acquisition:
             timeout_s: longest time without a new scan [s].
 
         Returns:
-            Rows with a field for each channel, shape (count,); fewer if scans were lost.
+            Rows with a field for each channel, shape (count,); fewer if some of these scans were lost.
 
         Raises:
             TimeoutError: no scan arrived for so long, or the output had no samples for the scans.
@@ -362,6 +365,8 @@ class Hardware:
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
         """Play samples, and return the scans from the first to the last sample, and `rest` further scans.
+
+        Scans that are lost are missing from the result.
 
         The stream ends after the last sample, so the drive ramps to zero during the further scans. Samples and scans
         must have the same rate.

@@ -57,7 +57,7 @@ class Golden:
     def run(
         self, rig: RigDriver, topics: Sequence[str] = (SCAN.name,), tolerances: Mapping[str, float] | None = None
     ) -> None:
-        """Compare the tables that a rig has published with those of the golden run.
+        """Compare the tables that a rig has published with those of the golden run; with `update`, replace that run.
 
         Args:
             rig: rig that the test has run.
@@ -87,7 +87,7 @@ class Golden:
                     )
 
     def values(self, found: Mapping[str, float], rel: float = 1e-9, abs: float = 0.0) -> None:  # noqa: A002  # as in pytest.approx
-        """Compare named numbers, such as results of an analysis, with the golden ones.
+        """Compare named numbers, such as results of an analysis, with the golden ones; with `update`, replace those.
 
         Args:
             found: the numbers by name.

@@ -13,7 +13,8 @@
 # limitations under the License.
 """Pytest plugin: fixtures that start and end rigs, and keep the run of every failed test as MCAP.
 
-With `scope="module"` or `scope="session"`, the function of a fixture starts a rig once and resets it for each test.
+With `scope="module"` or `scope="session"`, `ros_rig` starts a rig once and resets it for each test of the scope that
+starts it with the same arguments. Rigs in the test's process are always new.
 
 Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; the
 names of `testing` import them when a fixture is used.
@@ -92,13 +93,19 @@ def virtual_rig_with_nodes(request: pytest.FixtureRequest) -> Iterator[Callable[
 
 @pytest.fixture
 def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.RosRig]]:
-    """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`."""
+    """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`.
+
+    The rig is recorded, so that the run of a failed test can be kept, unless the argument `record` says otherwise.
+    """
     yield from _starting(request, lambda *args, **kwargs: testing.RosRig(*args, **{"record": True, **kwargs}))
 
 
 @pytest.fixture
 def golden(request: pytest.FixtureRequest) -> testing.Golden:
-    """Return the golden data of this test, kept in the folder `golden` next to the test file; see `Golden`."""
+    """Return the golden data of this test; see `Golden`.
+
+    They are next to the test file, in a folder named after file and test: `golden/test_file/test_name`.
+    """
     directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
     return testing.Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
 

@@ -289,14 +289,17 @@ class LocalRigWithNodes(LocalRig):
             action()
 
     def after(self, callbacks: int, action: Callable[[], object]) -> None:
-        """Call `action` when hosted nodes have run this many further callbacks: 0 means now."""
+        """Call `action` when hosted nodes have run this many further callbacks, all together: 0 means now."""
         if callbacks == 0:
             action()
         else:
             self._planned.append([callbacks, action])
 
     def set_parameter(self, name: str, value: object) -> None:
-        """Change a parameter of every hosted node that has it, as a client of its parameter service would do."""
+        """Change a parameter of every hosted node that has it, as a client of its parameter service would do.
+
+        A node that rejects the value keeps the present one; `callbacks` has a line for each change.
+        """
         for hosted in self._hosted:
             if hosted.node.has_parameter(name):
                 with self._running(hosted, f"the change of {name}"):

@@ -75,7 +75,10 @@ class ParameterChange:
 
 @attrs.frozen
 class Inject:
-    """Fault of an instrument, or of the whole board without `channel`, from the next scan on for this many blocks."""
+    """Fault of an instrument, or of the whole board without `channel`, for this many blocks from now on.
+
+    `kind` and `value` are those of a `Fault`.
+    """
 
     kind: str
     channel: str = ""
