@@ -69,7 +69,7 @@ def test_llvm_compiles_for_a_cpu_without_vectors(masked: Machine) -> None:
 
 def test_every_openblas_uses_its_oldest_core(masked: Machine) -> None:
     assert PRESCOTT.held(masked, masked)
-    assert masked.openblas, "neither NumPy nor SciPy brought an OpenBLAS: this mask says nothing here"
+    assert masked.openblas, "neither NumPy nor SciPy has an OpenBLAS: this mask proves nothing here"
 
 
 def test_glibc_uses_other_functions_under_the_masks(masked: Machine, bare: Machine) -> None:

@@ -480,7 +480,7 @@ def test_no_speed_is_shown_after_rig_time_has_stopped_for_a_while(clock: HandClo
     pace = Pace(clock)
     speed(clock, pace, 2.0)
     clock.now_s += STALE_S
-    assert pace.read(51.0) == pytest.approx(2.0), "readings come twice a second at most"
+    assert pace.read(51.0) == pytest.approx(2.0), "there are at most two readings a second"
     clock.now_s += 0.1
     assert pace.read(51.0) == 0.0
 

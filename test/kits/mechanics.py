@@ -138,7 +138,7 @@ def hit(speed_m_s: float, *, structure_kg: float = 1e9, rtol: float | None = Non
     travel_s = 0.5e-3 / speed_m_s
     simulation.place(d_rate=speed_m_s)
     motion = simulation.advance(at_rest(1.5 * travel_s + 1e-3 / speed_m_s**0.2))
-    assert len(motion.impacts) >= 1, "the sphere never came back from the wall"
+    assert len(motion.impacts) >= 1, "the sphere did not return from the wall"
     row = motion.impacts[0]
     values = {name: float(row[name]) for name in row.dtype.names if name not in ("tick", "offset", "wall")}
     return Hit(**values, motion=motion, begin_s=float(row["offset"]))

@@ -109,7 +109,7 @@ def test_a_fault_during_a_measurement_is_named_and_no_wrong_row_looks_good(spoil
             assert abs(row["phase"] - np.angle(truth)) < 3 * row["phase_uncertainty"] + 1e-4
     if status == "accelerometer_unsound":
         assert np.isnan(named[-1]["impacts_per_cycle"])
-        assert {row["regime"] for row in named} == {b"unknown"}, "impacts could say that it does not repeat"
+        assert {row["regime"] for row in named} == {b"unknown"}, "impacts could show that it does not repeat"
         assert found[0]["regime"] == b"periodic"
     if status == "current_unsound":
         assert all(np.isnan(row["current_amplitude"]) for row in named)

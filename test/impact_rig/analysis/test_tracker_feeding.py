@@ -120,7 +120,7 @@ def test_the_first_command_discards_no_impact(size):
         made.on_applied(applied(9.1, at_ns=NS_PER_S))
         found.append(feed_all(made, blocks(rows, RATE, cut))[0])
     assert statuses(found[0]) == ["no_frequency", "ok"]
-    assert found[0][0].rows["impact_age"][0] < 0.1, "it once said that there had been none"
+    assert found[0][0].rows["impact_age"][0] < 0.1, "the status must not state that there are no impacts"
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 

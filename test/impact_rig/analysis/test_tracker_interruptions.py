@@ -126,7 +126,7 @@ def test_a_repeated_block_is_dropped_and_a_jump_back_restarts_the_measurement():
     tables = list(blocks(rows, RATE, 100))
     feed_all(made, [*tables[:50], tables[49]])
     assert made.counters.duplicate_scans == 100
-    assert made.counters.scans == 50 * 100, "all that came, and what came twice once"
+    assert made.counters.scans == 50 * 100, "all received scans, repeated ones once"
     measurements, _ = feed_all(made, tables)  # from scan 0 again: the rig was reset
     assert statuses(measurements) == ["restarted", "ok"]
     assert made.counters.restarts == 1

@@ -56,7 +56,7 @@ def test_a_lock_covers_one_namespace_of_one_domain(client: Client) -> None:
     )
     assert place.decides
     assert place.take()
-    assert place.take(), "asked again, it is still ours"
+    assert place.take(), "a repeated request succeeds as well"
     assert not same.take()
     assert other.take()
     place.leave()

@@ -94,7 +94,7 @@ def test_the_window_follows_the_slowest_peer() -> None:
     assert window.acknowledge("b", 10)
     assert window.room() == 3
     assert window.behind() == {"a": 0, "b": 1}
-    assert window.acknowledge("a", 10), "an earlier one that comes late"
+    assert window.acknowledge("a", 10), "an earlier one that arrives late"
     assert window.behind() == {"a": 0, "b": 1}
 
 

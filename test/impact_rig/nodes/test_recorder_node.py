@@ -174,7 +174,9 @@ def test_a_recorder_that_cannot_write_holds_the_rig_until_an_operator_acts(clien
     client.trigger("recorder/stop")
     with open_run(tmp_path / "other") as run:
         assert run.topics[run.resolve("daq/scan")].count == 3
-        assert run.topics[run.resolve("rig/journal")].count == 1, "what came before the start but belongs to the run"
+        assert run.topics[run.resolve("rig/journal")].count == 1, (
+            "messages from before the start that belong to the run"
+        )
 
 
 def test_start_and_stop_answer_in_every_state(client: Client, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_rig_in_lockstep_publishes_exactly_what_it_computes(client: Client) ->
     blocks += rig.advance(33 * TICK)
     assert row == expected
     assert scans.lost() == 0
-    assert len(scans) == 33, "the reply came after the last block was out and acknowledged"
+    assert len(scans) == 33, "the reply arrived after the last block was published and acknowledged"
     for table, block in zip(scans.tables(), blocks, strict=True):
         assert table.stamp_ns == block.scan.stamp_ns
         assert table.rows.tobytes() == block.scan.rows.tobytes()
@@ -149,7 +149,7 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
     assert client.step(1).startswith("rig time ")
     client.wait_until(lambda: len(scans) >= before + 8, "one more")
     client.command(current_a=0.3)
-    assert len(scans) == before + 8, "it stands still again"
+    assert len(scans) == before + 8, "it is stopped again"
     assert "paused" in client.status("rig").message
     client.pause(False)
     if mode != "lockstep":

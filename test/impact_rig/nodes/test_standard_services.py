@@ -205,7 +205,7 @@ def test_the_offered_features_are_listed(
 def test_a_rig_can_be_paused_stepped_stopped_and_played(user: User, mode: str) -> None:
     client = user.client
     node = host_rig(client, mode, time__peers=["client"])
-    assert user.state == STOPPED, "it has not begun"
+    assert user.state == STOPPED, "it has not started"
     assert user.set(PLAYING)[0] == SetResponse.STATE_TRANSITION_ERROR
     scans, journal = (client.collect(name, acknowledge=name == "daq/scan") for name in ("daq/scan", "rig/journal"))
     client.wait_active("rig")

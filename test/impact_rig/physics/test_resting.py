@@ -52,7 +52,7 @@ def test_resting_does_not_depend_on_the_tolerance(law, kind):
     plain, tight = (run(narrow(law, kind), rtol) for rtol in (CONTACT_RTOL, 1e-4 * CONTACT_RTOL))
     assert len(plain.impacts) == len(tight.impacts)
     rest, same = (longest(motion) for motion in (plain, tight))
-    assert rest["duration"] > 0.2 * CYCLE_S, "the sphere does not rest: the test tests nothing"
+    assert rest["duration"] > 0.2 * CYCLE_S, "the sphere is not at rest, so the test proves nothing"
     assert rest["duration"] == pytest.approx(same["duration"], rel=1e-7)
     assert rest["impulse"] == pytest.approx(same["impulse"], rel=1e-8)
     during = np.zeros(50, int), rest["offset"] + np.linspace(0.1, 0.9, 50) * rest["duration"]

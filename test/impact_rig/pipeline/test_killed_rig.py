@@ -120,7 +120,7 @@ def test_a_rig_drops_old_commands_when_it_resumes_after_a_suspension(tmp_path: P
             assert "resumed from a suspension" in found["last_refused.shaker/current"]
             assert (found["current_a"], found["state"]) == ("0.1", "driving")
             client.wait_active("rig")
-            assert client.command(current_a=0.2)["current"] == 0.2, "it takes what it is given now"
+            assert client.command(current_a=0.2)["current"] == 0.2, "it accepts present commands"
             client.wait_until(lambda: len(currents()) > 1, "the journal")
             assert currents() == [0.1, 0.2]
             rig.signal(signal.SIGSTOP)

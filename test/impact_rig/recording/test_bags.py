@@ -191,7 +191,9 @@ def test_individually_compressed_messages_are_read(native, tmp_path):
     assert content(path) == content(native)
     assert info(path).intact
     recover(path, tmp_path / "out")
-    assert content(tmp_path / "out") == content(native), "what is given back is plain, as its metadata.yaml says"
+    assert content(tmp_path / "out") == content(native), (
+        "the recovered file is uncompressed, as its metadata.yaml states"
+    )
 
 
 def test_a_message_that_claims_an_excessive_size_is_rejected(native, tmp_path):

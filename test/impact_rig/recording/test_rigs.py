@@ -69,7 +69,7 @@ def test_a_topic_is_found_only_by_its_full_name(tmp_path):
     with open_run(path) as run:
         assert (run.rigs, run.prefix) == (("/rig",), "/rig/")
         assert not run.holds("impacts"), "the true ones are others"
-        assert not run.holds("laser"), "what is plotted is none of the monitor's"
+        assert not run.holds("laser"), "the plotted topic is not a monitor topic"
         assert run.holds("truth/impacts")
         assert run.resolve("notes") == "/rig/notes"
         assert run.resolve("/else/where/notes") == "/else/where/notes"

@@ -193,7 +193,7 @@ def test_a_reset_inside_a_block_does_not_count_as_a_gap(tmp_path: Path) -> None:
     last = max(number for number in range(resets[1]) if parts[number][0] == "daq/scan")
     lost = info(record(tmp_path / "lost", parts[:last] + parts[last + 1 :])).scans
     assert lost is not None
-    assert lost.lost_blocks == 1, "a whole block that is missing before a reset still shows"
+    assert lost.lost_blocks == 1, "a complete block missing before a reset is still reported"
 
 
 def test_true_impacts_are_not_taken_for_detected_ones(tmp_path: Path) -> None:

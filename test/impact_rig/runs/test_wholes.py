@@ -151,7 +151,7 @@ def test_sines_agree_with_the_measurement_of_the_same_scans(steady: Path) -> Non
     assert found.fits["current"].amplitude == pytest.approx(row["current_amplitude"], rel=1e-4)
     truth = abs(transmissibility(from_flat(RigConfig(), RIG), 9.3))
     ratio = found.fits["laser"].amplitude / found.fits["base"].amplitude
-    assert ratio == pytest.approx(truth, rel=0.01), "lag and skew are not taken back: 0.1 % at 9.3 Hz"
+    assert ratio == pytest.approx(truth, rel=0.01), "lag and skew are not corrected: 0.1 % at 9.3 Hz"
 
 
 def test_the_command_prints_and_draws_sines(

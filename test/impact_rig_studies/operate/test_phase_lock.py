@@ -211,7 +211,7 @@ def test_a_locked_stretch_states_its_uncertainty(locked):
     true_dt = abs(complex(transmissibility(linear(), found.frequency_hz)))
     assert 0.001 < found.u_dt / found.dt < 0.01, "two sensitivities of 0.12 to 0.22 % and the scatter"
     assert abs(found.dt - true_dt) < 3.0 * found.u_dt
-    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three samples say nothing"
+    assert np.isnan(mean(dwelt[:3], locked.u_gain).u_dt), "three samples are not enough"
 
 
 def test_a_lock_is_reproducible_bit_for_bit(locked):

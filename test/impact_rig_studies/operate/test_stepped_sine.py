@@ -126,7 +126,7 @@ def test_a_trip_or_a_command_of_another_client_ends_the_sweep():
     one.start(0)
     assert one.state is SweepState.RUNNING
     assert one.reason == ""
-    assert one.on_applied(8.0, 0.0, 0) is None, "the frequency comes first, the current after it"
+    assert one.on_applied(8.0, 0.0, 0) is None, "the frequency is set first, then the current"
     one.on_applied(8.0, 0.5, 0)
     assert one.on_applied(8.5, 0.5, S) == Setpoint(8.0, 0.0)
     assert one.reason == "another client set 8.5 Hz and 0.5 A"
