@@ -37,7 +37,7 @@ from impact_rig.instruments.section import SCAN
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
 from impact_rig.rig.interlock import amplitude_limit
 from impact_rig.rig.journal import JournalEntry
-from impact_rig.simtime import NS_PER_S, TICKS_PER_S, stamp_ns
+from impact_rig.simtime import TICKS_PER_S, first_scan_at, stamp_ns
 
 SCANS = topics.SCAN.name
 ESSENTIAL = (topics.INFO.name, topics.APPLIED.name, topics.JOURNAL.name)
@@ -519,7 +519,7 @@ class RigDriver(abc.ABC):
         Args:
             table: a table of `daq/scan`, whose stamp gives the number.
         """
-        return -(-(table.stamp_ns - self._start_ns) * self.rate_hz // NS_PER_S)
+        return first_scan_at(table.stamp_ns, self.rate_hz, self._start_ns)
 
     def _samples(self, first: int, values: NDArray[np.float64]) -> Table:
         """Return the table of `shaker/waveform` with samples of the stream, the first with the number `first`."""
@@ -535,8 +535,7 @@ class RigDriver(abc.ABC):
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
     """Return the first scan from number `sample` on at which a command can act: they act every 10 ms of rig time."""
     tick = -(-sample * TICKS_PER_S // rate_hz)
-    first = -(-tick * rate_hz // TICKS_PER_S)
-    return first if first >= sample else -(-(tick + 1) * rate_hz // TICKS_PER_S)
+    return -(-tick * rate_hz // TICKS_PER_S)
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:

@@ -63,7 +63,7 @@ from impact_rig.nodes.rclpy_internals import call_subscription, call_timer
 from impact_rig.rig import Block, journal
 from impact_rig.rig.config import RigConfig
 from impact_rig.rig.journal import JournalEntry
-from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.simtime import NS_PER_S, first_scan_at, stamp_ns
 
 TIMERS, MESSAGES = "timers", "messages"
 """Names for `hold` and `prefer` that are not topics: all timers of the nodes, and the messages of all topics."""
@@ -530,8 +530,7 @@ class LocalRigWithNodes(LocalRig):
                 self.command(current_a=message.data)
             elif relative == topics.WAVEFORM.name and self.core.takes_samples:
                 table = codec.decode(data, topics.WAVEFORM)
-                first = -(-(table.stamp_ns - self._start_ns) * self.stream_rate_hz // NS_PER_S)
-                self.feed(first, table.rows["value"])
+                self.feed(first_scan_at(table.stamp_ns, self.stream_rate_hz, self._start_ns), table.rows["value"])
         self._route(relative, kind, qos, data)
 
     def _note(self, hosted: _Hosted, text: str) -> None:
