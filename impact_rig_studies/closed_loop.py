@@ -33,8 +33,8 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 class HeldSweep:
     """Result of a sweep during which a controller held an amplitude (`hold`)."""
 
-    rows: NDArray[np.void]  # of `blocks.SWEEP`
-    failure: str  # why it did not finish; empty otherwise
+    rows: NDArray[np.void]  # accepted measurements, rows of `blocks.SWEEP`
+    failure: str  # reason why the sweep was aborted; empty if it finished
 
 
 def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
@@ -46,7 +46,7 @@ def hold(job: Job, plan: HoldPlan, rig: RigDriver | None = None) -> HeldSweep:
         rig: rig that was newly started for the job, with its analysis; None means a new one in this process.
 
     Raises:
-        ImpactRigError: the rig rejected a command.
+        ImpactRigError: the rig rejected a command, or failed.
     """
     sweep = ControlledSine(job.plan(), plan)
     operate(sweep, rig or start_local(job))

@@ -98,7 +98,8 @@ def measure_decay(
 ) -> Decay:
     """Measure f_n and ζ from the free decay of the superior base while the inferior base is locked.
 
-    The status is `impacts` or `not_exponential` if no single ζ describes the record.
+    The status is `impacts` or `not_exponential` if no single ζ describes the record, `over_range` if the laser was
+    clipped, and otherwise that of `method`.
 
     Args:
         rows: consecutive scans (`daq/scan`) that begin after the release, shape (n,).
@@ -401,6 +402,9 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
         The result, with the status `ok`. The status is `not_finite` if a value is not finite. It is `no_fit` if a
         height is not positive, an uncertainty negative, or a rebound higher than its drop by more than three standard
         uncertainties.
+
+    Raises:
+        ValueError: there are no heights, or not as many of both.
     """
     if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
         raise ValueError(f"h0_m and h1_m must be one-dimensional and of equal length, got {h0_m.shape}, {h1_m.shape}")

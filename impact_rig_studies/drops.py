@@ -44,6 +44,6 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     if found.status is not Status.OK:
         raise RecordingError(
             f"{run.path}: its {len(drops)} drops give no coefficient of restitution ({found.status.value}): every "
-            "height must be finite and > 0, and no rebound higher than its drop"
+            "height must be finite and > 0, and no rebound higher than its drop by over three standard uncertainties"
         )
     return drops, found

@@ -255,11 +255,12 @@ class HeldDrive:
     superior_m: float | None = None
 
     def __attrs_post_init__(self) -> None:
-        given = [value for value in (self.current_a, self.base_m, self.superior_m) if value is not None]
+        given = attrs.asdict(self, filter=lambda _, value: value is not None)
         if len(given) != 1:
-            raise ConfigError("exactly one of current_a, base_m and superior_m must be given")
-        if not (math.isfinite(given[0]) and given[0] > 0.0):
-            raise ConfigError(f"current_a, base_m or superior_m must be > 0 and finite, got {given[0]!r}")
+            raise ConfigError(f"exactly one of current_a, base_m and superior_m must be given, got {given}")
+        for name, value in given.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise ConfigError(f"{name} must be > 0 and finite, got {value!r}")
 
 
 class _Answer(NamedTuple):
@@ -296,10 +297,14 @@ class LinearRig:
             raise ConfigError("a prediction needs a sphere: sphere.present is false")
         if config.sphere.guide_friction > 0.0:
             raise ConfigError(
-                f"a prediction does not include friction of the guide, got {config.sphere.guide_friction:g}"
+                "a prediction does not include friction of the guide: sphere.guide_friction must be 0, got "
+                f"{config.sphere.guide_friction:g}"
             )
         if not 0.0 < restitution < 1.0:
-            raise ConfigError(f"a prediction needs a realised restitution > 0 and < 1, got {restitution:g}")
+            raise ConfigError(
+                "a prediction needs a realised restitution > 0 and < 1: contact.law and contact.restitution give "
+                f"{restitution:g}"
+            )
         linear, sphere_kg = constants(config), sphere_mass_kg(config.sphere)
         return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
 
@@ -429,7 +434,7 @@ def branch(
 ) -> Branch:
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
-    They begin at the fold, and the gap decreases from there. Exactly one quantity is held.
+    They begin at the fold, and Θ increases from there. Exactly one quantity is held.
 
     Args:
         config: the rig; its own gap is irrelevant.
@@ -480,7 +485,8 @@ def curves(
 ) -> list[Branch]:
     """Return the motions with two symmetric impacts per cycle with one gap over the frequency.
 
-    Each branch in the list is one continuous curve; the list is empty if there are no such motions. The other arguments
+    Each branch in the list is one continuous curve; the list is empty if there are no such motions. A new curve begins
+    where the number of motions changes. The arguments other than `frequencies_hz` (ascending, shape (n,)) and `gap_m`
     are those of `branch`.
 
     Raises:

@@ -220,14 +220,15 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _missing(self) -> str:
         """Return the first missing requirement for a sweep, as a text for the user; empty when a sweep can start."""
-        if any(not self.outputs[topic.name].get_subscription_count() for topic in (topics.FREQUENCY, topics.CURRENT)):
-            return f"no rig subscribes to {topics.FREQUENCY.name} and {topics.CURRENT.name}"
+        commands = topics.FREQUENCY.name, topics.CURRENT.name
+        if silent := [name for name in commands if not self.outputs[name].get_subscription_count()]:
+            return f"no rig subscribes to {' and '.join(silent)}"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
                 return f"nothing received on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
         elif not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
-            return f"no publisher of {topics.TRANSMISSIBILITY_TABLE.name}"
-        return "" if self._now_ns is not None else "no report from the rig yet"
+            return f"no publisher of {topics.TRANSMISSIBILITY_TABLE.name}: start and configure an analysis node"
+        return "" if self._now_ns is not None else f"nothing received on {MONITORS['base'].name} yet"
 
     def _begin_when_ready(self) -> None:
         if self._pending and not self._missing():

@@ -165,9 +165,9 @@ def followed(
         f: the map z → f(z, p) whose fixed points are the orbits.
         start: an orbit on the branch.
         way: initial direction: 1.0 towards larger p, −1.0 towards smaller p.
-        limits: smallest and largest p; the branch ends there.
+        limits: smallest and largest p; at an end of this range the last orbit is searched for exactly there.
         longest: largest step along the branch in the space (z, p).
-        points: maximum number of orbits.
+        points: maximum number of orbits, without `start`.
         born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn: `FLIP` or
             `SYMMETRY` if the orbits of the branch begin to exist there, else `FOLD`.
         noted: returns the `note` of an orbit. It is called for each orbit before `moved` may change the coordinates.
@@ -326,7 +326,7 @@ def _pairs(one: Orbit) -> float:
 def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float]) -> Orbit | None:
     """Return the orbit on the branch between two successive orbits at which a test function is zero.
 
-    Returns None if an orbit between them cannot be found, or the test function has the same sign at both.
+    Returns None if Newton's method fails between them, or the test function does not change its sign after all.
     """
     origin, whole = np.append(here.z, here.p), np.append(new.z - here.z, new.p - here.p)
     found = here

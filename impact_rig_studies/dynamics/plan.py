@@ -308,7 +308,7 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     top = axes.mapping("a dynamics file", document)
     axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
     if kind not in top:
-        raise ConfigError(f"there is no {kind} in the file: a study of this kind needs the key {kind}")
+        raise ConfigError(f"there is no {kind} in the file: add the key {kind} with the settings of this study")
     rig = resolved or axes.rig(top, path.parent, refuse_owned)
     changes = differences(rig)
     settings = axes.settings("measure", top.get("measure"), Settings)
@@ -417,7 +417,9 @@ def _parameter(kind: str, given: Mapping[str, object], place: Place) -> str:
     over = str(given.get("over", GAP))
     refuse_owned(f"{kind}.over", over)
     if over not in NAMES and not isinstance(to_flat(place.config).get(over), float):
-        raise axes.wrong(f"{kind}.over", f"one of {', '.join(NAMES)}, or a number of the configuration", over)
+        raise axes.wrong(
+            f"{kind}.over", f"one of {', '.join(NAMES)}, or a number of the configuration by its dotted name", over
+        )
     return over
 
 
@@ -567,7 +569,7 @@ def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) 
         raise SimulationError(f"the motion is {reading.regime}")
     one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
     if one is None:
-        raise SimulationError("Newton's method does not converge")
+        raise SimulationError("Newton's method finds no orbit near the settled motion")
     return strobe, one
 
 
@@ -696,10 +698,12 @@ def _basin(
 
 
 def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
-    """Continue the motion of a rig until it has approached a known attractor, or has no impacts, or a limit of cycles.
+    """Continue the motion of a rig until it approaches a known attractor, impacts cease, or `_MOST_CYCLES` are over.
+
+    Impacts have ceased if there is none in `CHUNK` cycles.
 
     Returns:
-        Index of the attractor, or −1 if it has approached none, and the number of simulated cycles.
+        Index of the attractor in `attractors`, or −1 if it approaches none, and the number of simulated cycles.
 
     Raises:
         SimulationError: the motion cannot be simulated.

@@ -39,11 +39,11 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig_studies.dynamics.orbits import FLIP, FOLD, SYMMETRY, Orbit, jacobian
+from impact_rig_studies.dynamics.orbits import FLIP, FOLD, STEP, SYMMETRY, Orbit, jacobian
 from impact_rig_studies.maps.measure import COORDINATES, MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
 
-SPHERE = (5, 6)  # indices of the sphere's relative position and its rate in that array
+SPHERE = (5, 6)  # indices of the sphere's relative position and its rate in a state (`Simulation.state`)
 CLOSE = 0.02  # time between an impact and the section, in cycles, below which another section is chosen
 _TURN = 2.0 * math.pi
 _FINE = 64  # equal parts of a cycle, of which those with a contact exclude a section
@@ -106,8 +106,6 @@ class Slopes(NamedTuple):
 BORN = 1e-4
 """Largest difference in a coordinate up to which an orbit is the same as half a period later, or as its mirror image.
 """
-STEP = 1e-6
-"""Relative step of difference quotients: a smaller one has a smaller truncation error but a larger rounding error."""
 
 
 class Stroboscope:
@@ -165,7 +163,7 @@ class Stroboscope:
         Args:
             rig: the rig with the settled motion.
             p: dimensionless parameter at which it was measured.
-            reading: measurement of the motion, with its period and impacts.
+            reading: measurement of the motion, with its impacts and period; if that is NaN, one cycle counts as period.
 
         Raises:
             SimulationError: the motion cannot be simulated, or the sphere is in contact with a wall at the section.
@@ -198,7 +196,8 @@ class Stroboscope:
             points: points (z, p) of a branch, the newest last.
 
         Returns:
-            The coordinates z of the same motions at the new section, or None if the section is unchanged.
+            The coordinates z of the same motions at the new section, NaN for one in contact there; None if the section
+            is unchanged.
         """
         motion = self._run(*points[-1], self.cycles)
         turns = motion.impacts["offset"] / motion.segments["duration"][0]
@@ -260,7 +259,10 @@ class Stroboscope:
         return float(np.abs(self._half(one.z, one.p) - one.z).max()) if self.cycles % 2 else math.nan
 
     def _half(self, z: Real, p: float) -> Real:
-        """Return the mirror image of the state half of an odd number of cycles after z, NaN if in contact then."""
+        """Return the mirror image of the state half a period after z, for a period of an odd number of cycles.
+
+        It is NaN if the sphere is in contact then, or half a cycle after z.
+        """
         turn = self.turn
         try:
             self._run(z, p, 0.5)
@@ -325,38 +327,34 @@ class Stroboscope:
             count: number of parameters.
 
         Returns:
-            None if a disturbed motion has another number of impacts, or cannot be simulated.
+            None if a disturbed motion has another number of impacts or cannot be simulated, or if the sphere is in
+            contact with a wall at the section.
         """
         place, model = self._found(p)
-        here, log_dt, impacts = self._returned(z, place, model)
-        n = len(z)
-        matrix, gradient = np.zeros((n, n)), np.zeros(n)
-        by_place, direct = np.zeros((n, count)), np.zeros(count)
-        for i in range(n):
-            aside = np.zeros(n)
-            aside[i] = STEP
-            sides = (self._returned(z + sign * aside, place, model) for sign in (1.0, -1.0))
-            (more, upper, one), (less, lower, other) = sides
-            matrix[:, i], gradient[i] = (more - less) / (2.0 * STEP), (upper - lower) / (2.0 * STEP)
-            if not one == other == impacts:
-                return None
+        here, impacts = self._returned(z, place, model)
+
+        def answer(z: Real, changed: Place = place, built: Model = model) -> Real:
+            found, count = self._returned(z, changed, built)
+            return found if count == impacts else np.full(len(found), math.nan)
+
+        by_z = jacobian(lambda z, _: answer(z), z, p)
+        by_place = np.empty((len(here), count))
         for i in range(count):
             changed = varied(i, STEP)
             built = model if changed.config is place.config else build(changed.config)
-            other_z, other_dt, other = self._returned(z, changed, built)
-            by_place[:, i], direct[i] = (other_z - here) / STEP, (other_dt - log_dt) / STEP
-            if other != impacts:
-                return None
-        if not (np.isfinite(matrix).all() and np.isfinite(by_place).all()):
+            by_place[:, i] = (answer(z, changed, built) - here) / STEP
+        if not (np.isfinite(by_z).all() and np.isfinite(by_place).all()):
             return None
-        moved = np.linalg.solve(np.eye(n) - matrix, np.column_stack([here - z, by_place]))
+        matrix, gradient = by_z[:-1], by_z[-1]
+        moved = np.linalg.solve(np.eye(len(z)) - matrix, np.column_stack([here[:-1] - z, by_place[:-1]]))
         stable = bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
-        return Slopes(log_dt + float(gradient @ moved[:, 0]), direct + gradient @ moved[:, 1:], stable)
+        return Slopes(float(here[-1] + gradient @ moved[:, 0]), by_place[-1] + gradient @ moved[:, 1:], stable)
 
-    def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, float, int]:
-        """Simulate one return from z; return the coordinates after it, ln DT during it, and its number of impacts.
+    def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, int]:
+        """Simulate one return from z; return the coordinates after it and, last, ln DT during it, and its impacts.
 
-        They are NaN, NaN and −1 if the motion cannot be simulated, or the sphere is in contact at the end.
+        The values are NaN and the number of impacts −1 if the motion cannot be simulated, or the sphere is in contact
+        with a wall at the end.
         """
         try:
             motion = self._run_at(z, place, model, self.cycles)
@@ -364,10 +362,10 @@ class Stroboscope:
         except SimulationError:
             state = None
         if state is None:
-            return np.full(len(z), math.nan), math.nan, -1
+            return np.full(len(z) + 1, math.nan), -1
         cycles = motion.cycles()
         ratio = abs(cycles["x_1"].mean() / cycles["x_b"].mean())
-        return state[self._free] / self.scale, math.log(ratio), len(motion.impacts)
+        return np.append(state[self._free] / self.scale, math.log(ratio)), len(motion.impacts)
 
     def _run(self, z: Real, p: float, cycles: float) -> Motion:
         place, model = self._found(p)

@@ -61,7 +61,7 @@ def read(document: object, kind: type[P]) -> P:
         kind: class of the plan, whose attributes are the keys; keys that are missing have the default values.
 
     Raises:
-        ConfigError: a key or value is wrong; the message names key and value.
+        ConfigError: a key or value is wrong, or a key without default is missing; the message names it.
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
@@ -71,6 +71,8 @@ def read(document: object, kind: type[P]) -> P:
         if key not in fields:
             raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields)}")
         values[key] = _value(str(key), value, fields[key].type)
+    if missing := [name for name, one in fields.items() if one.default is attrs.NOTHING and name not in values]:
+        raise ConfigError(f"missing: {', '.join(missing)}")
     try:
         return kind(**values)
     except (ValueError, TypeError) as error:
@@ -79,11 +81,16 @@ def read(document: object, kind: type[P]) -> P:
 
 def _value(key: str, value: object, kind: object) -> object:
     if kind == "Spectrum":
-        found = read(value, Spectrum)
-        corners = np.array([found.frequency_hz, found.density], float)
-        if len(corners[0]) < 2 or not np.all(corners > 0.0) or not np.all(np.diff(corners[0]) > 0.0):
+        try:
+            found = read(value, Spectrum)
+        except ConfigError as error:
+            raise ConfigError(f"{key}: {error}") from error
+        f, densities = np.array(found.frequency_hz), np.array(found.density)
+        positive = bool(np.all(f > 0.0) and np.all(densities > 0.0))
+        if not (2 <= len(f) == len(densities) and positive and np.all(np.diff(f) > 0.0)):
             raise ConfigError(
-                f"{key} needs two corners or more, ascending, with frequency and density > 0, got {value}"
+                f"{key} needs two corners or more: ascending frequency_hz > 0, and as many values of density > 0, got "
+                f"{value}"
             )
         return found
     if kind == "tuple[float, ...]":
@@ -114,10 +121,11 @@ def history(
     Args:
         path: a run, or a file that `impact-rig import` reads.
         rate_hz: number of samples per second of the result.
-        wanted: SI unit of the result.
+        wanted: SI unit of the result, such as m.
         name: name of the signal; None means the only one of a file, or `channel` of a run.
         channel: channel of a run; None means current.
-        unit: unit of the file's values, if it states none or a wrong one; empty means that of the file.
+        unit: unit of the file's values, if it states none or a wrong one; empty means that of the file. A run is in
+            SI units, so it ignores this.
         scale: factor by which the values are multiplied.
         file_hz: number of samples per second of a file that states neither times nor a rate.
 
@@ -125,8 +133,8 @@ def history(
         The samples, shape (n,).
 
     Raises:
-        ConfigError: the signal or its rate is not known, or the unit is not one of the wanted quantity.
-        RecordingError: the file is damaged, or scans of the run are missing.
+        ConfigError: the signal or its rate is not known, `rate_hz` is < 1, or the unit is not one of `wanted`.
+        RecordingError: the file is damaged, scans of the run are missing, or a value is not finite.
         BudgetError: the result would have too many samples.
     """
     if path.is_dir() or path.suffix == ".mcap":
@@ -144,7 +152,9 @@ def history(
     if rate_hz < 1:
         raise ConfigError(f"the rate of the samples must be a whole number of Hz above 0, got {rate_hz}")
     if not len(values) or not np.all(np.isfinite(values)):
-        raise RecordingError(f"{path}: the signal has no samples, or some that are not finite, and cannot be played")
+        count = np.count_nonzero(~np.isfinite(values))
+        problem = f"{count} of its {len(values)} values are not finite" if len(values) else "it has no values"
+        raise RecordingError(f"{path}: the signal cannot be played: {problem}")
     if rate_hz >= found_hz:
         ratio = Fraction(rate_hz / found_hz).limit_denominator(MOST_RATIO)
     else:  # the denominator leaves too few digits of a small number
@@ -160,7 +170,7 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
         tables = list(run.tables(topics.SCAN, recorded_order=True))
     if not tables or name not in (tables[0].rows.dtype.names or ()):
         channels = ", ".join(tables[0].rows.dtype.names or ()) if tables else "none, as it contains no scans"
-        raise ConfigError(f"{path} has no channel {name!r}; its channels: {channels}")
+        raise ConfigError(f"{path} has no channel {name!r}; choose one by --signal NAME: {channels}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
     if not seconds > 0.0:
@@ -180,9 +190,10 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
         problem = "it has several" if name is None else f"it has no {name!r}"
         raise ConfigError(f"{path}: which signal? {problem}; choose one by --signal NAME: {', '.join(signals)[:300]}")
     one = signals[name]
-    rate = one.rate_hz or file_hz
+    rate = one.rate_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
         rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
+    rate = rate or file_hz
     if rate is None or not rate > 0.0:
         raise ConfigError(
             f"{path}: the file states neither times nor a rate: add its samples per second with --file-rate HZ"

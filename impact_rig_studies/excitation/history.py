@@ -149,6 +149,8 @@ def replicate(
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.
+        ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
+        BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
@@ -256,7 +258,9 @@ def _fade(count: int, lead: int) -> Real:
 
 
 def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
-    """Return the drive of the largest burst, with a rest before and after it [A], shape (n,).
+    """Return the drive of the largest burst, with a rest before and after it [A], shape (n,), n <= m.
+
+    Neither its peak nor that of the superior base's motion exceeds that of the history's drive.
 
     Args:
         plan: settings.

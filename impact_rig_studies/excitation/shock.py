@@ -189,7 +189,7 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
         on_step: receives a description of each step before the first trial, for the user.
 
     Yields:
-        The best result so far after each trial.
+        The best result so far after each trial, and once more after a repetition of the best drive.
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.

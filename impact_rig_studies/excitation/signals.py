@@ -55,8 +55,8 @@ class Excitation:
             rate_hz: number of samples per second.
 
         Raises:
-            ConfigError: the band is not between 0 and half of the rate, or its lower edge is not below the upper one.
-            BudgetError: there would be too many samples.
+            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge.
+            BudgetError: there would be more than `MOST_SAMPLES` samples.
         """
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone
         import scipy  # noqa: PLC0415  # as above
@@ -65,8 +65,8 @@ class Excitation:
         budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
             raise ConfigError(
-                f"the band of the excitation must be ascending and within 0 to {0.5 * rate_hz:g} Hz, half of the "
-                f"sample rate, got {self.low_hz:g} to {self.high_hz:g} Hz"
+                f"the band of the excitation must be ascending and end below {0.5 * rate_hz:g} Hz, half of the sample "
+                f"rate, got {self.low_hz:g} to {self.high_hz:g} Hz"
             )
         if self.kind == BURST:
             on = round(self.burst * length)

@@ -270,7 +270,7 @@ def identify(
         on_step: receives a description of each step for the user.
 
     Raises:
-        ConfigError: nothing was measured.
+        ConfigError: nothing was measured, or a constant leaves its range during the fit.
         SimulationError: no motion with the sphere can be simulated.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
@@ -467,7 +467,8 @@ class _Profile:
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
-                "no motion with the sphere can be resolved by the simulation near the constants from the other data"
+                f"no motion with the sphere can be simulated at all measured gaps, from any of {len(starts)} starts of "
+                "the fit: check sphere, contact law and gaps of the known rig, and the measured current"
             )
         if self._u == 0.0:
             return [min(first, key=lambda one: one.cost)]

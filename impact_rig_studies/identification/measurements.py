@@ -228,11 +228,11 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure natural frequency and damping ratio from the free decay after the last pluck in a recorded run.
 
-    The record of the decay ends at a reset or at missing scans. A measurement of an external rig has no journal of
-    plucks: its decay begins at the largest distance of the superior base from its final position.
+    The record begins `SETTLE_S` after the pluck, and ends at a reset or at missing scans. A measurement of an external
+    rig has no journal of plucks: its decay begins at the largest distance of the superior base from its final position.
 
     Raises:
-        RecordingError: the run contains no pluck, or no scans after it.
+        RecordingError: the run contains no pluck, or no scans between `SETTLE_S` after it and a reset.
     """
     if not run.holds(topics.JOURNAL) and is_measured(run.provenance):
         record = last_record(run)
@@ -249,8 +249,8 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
             end_ns = min(end_ns, entry.stamp_ns)
     if begin_ns is None:
         raise RecordingError(
-            f"{run.path}: no pluck in this run (rig/pluck), so that it contains no free decay; record one that begins "
-            "before the pluck"
+            f"{run.path}: no pluck in this run (rig/pluck), so that it contains no free decay; record a run that "
+            "begins before the pluck"
         )
     info = list(run.tables(topics.INFO.name, recorded_order=True))[-1]
     first = begin_ns + round(SETTLE_S * NS_PER_S)
@@ -261,5 +261,8 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
                 break
             decay.add(table)
     if not decay.count:
-        raise RecordingError(f"{run.path}: no scans after the last pluck, so that the run contains no free decay")
+        raise RecordingError(
+            f"{run.path}: no scans later than {SETTLE_S:g} s after the last pluck and before a reset, so that the run "
+            f"contains no free decay; record about {RECORD_S:g} s after the pluck"
+        )
     return measure_decay(decay.rows(), info.rows, method)

@@ -32,6 +32,7 @@ from impact_rig.errors import SimulationError
 from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.states import Regime
+from impact_rig_studies.dynamics.orbits import STEP
 from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
 from impact_rig_studies.maps.measure import FAILED, MapRig, Settings
 from impact_rig_studies.maps.plan import CURRENT
@@ -97,7 +98,7 @@ class SettledRig:
             gap_mm = place.config.barriers.gap_m * 1e3
             raise SimulationError(
                 f"gap {gap_mm:g} mm, {place.frequency_hz:g} Hz, {place.amplitude:g} A peak: the motion cannot be "
-                "resolved by the simulation"
+                "simulated"
             )
         u, dt, seen = 0.0, found.dt, found.regime
         if not (math.isfinite(found.period) and found.drift <= REPEATS):
@@ -152,15 +153,12 @@ class SettledRig:
         return np.asarray(by), math.sqrt(2.0 * float(squares[0]) / (len(plane) - plane.shape[1]))
 
 
-_STEP = 1e-6
-
-
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
     """Return the derivatives of a closed form `of` by `count` parameters at `place`, shape (count,)."""
     here = of(place)
-    return np.array([(of(neighbour(i, _STEP)) - here) / _STEP for i in range(count)])
+    return np.array([(of(neighbour(i, STEP)) - here) / STEP for i in range(count)])
 
 
 def _log_dt(place: Place) -> float:

@@ -70,6 +70,9 @@ def fit_paper(
         base: rig with all other values, which count as known; normally the shipped configuration.
         free: names of the values to fit, which are keys of `START`.
         on_step: receives a description of each step for the user.
+
+    Raises:
+        SimulationError: a motion on the way cannot be simulated.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
     default = np.append(logarithms(base), np.log(CURRENT_A))

@@ -39,9 +39,9 @@ _OUT_OF_SIGHT = 64  # number of consecutive returns with a contact after which t
 class Exponent(NamedTuple):
     """Largest Lyapunov exponent of a motion, per return to the section: positive for a chaotic motion."""
 
-    value: float  # mean over the windows; NaN if the sphere is in contact at all returns
-    uncertainty: float  # standard uncertainty of value, from the scatter of the windows
-    windows: tuple[float, ...]  # mean exponent per return in each window
+    value: float  # mean over the windows; NaN if the sphere is in contact at `_OUT_OF_SIGHT` returns in a row
+    uncertainty: float  # standard uncertainty of value, from the scatter of the windows; NaN with it
+    windows: tuple[float, ...]  # mean exponent per return in each window; empty with a NaN
 
 
 def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int = 20) -> Exponent:

@@ -202,9 +202,10 @@ class MapRig:
         self._amplitude = 0.0
 
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
-        """Drive the rig with a sine from its present state, wait until the motion has settled, and measure it.
+        """Drive the rig with a sine from its present state until the motion has settled, and measure it.
 
-        If the motion cannot be simulated, the rig is reset, and the reading has the regime `FAILED`.
+        A motion that has not settled after `settle_cycles` is averaged over `cycles` drive cycles. If the motion cannot
+        be simulated, the rig is reset, and the reading has the regime `FAILED`.
 
         Args:
             frequency_hz: frequency of the drive.

@@ -53,7 +53,10 @@ class Optimum:
     reading: Reading  # motion of the mechanics there
     region: tuple[float, float]  # ends of the range of values around it within 1 percentage point of the best reduction
     points_per_percent: dict[str, float]
-    """Change of the reduction [percentage points] if a constant of the rig is 1 % larger, by name of the constant."""
+    """Change of the reduction [percentage points] if a value is 1 % larger, by name of the value.
+
+    The values are those of `SENSITIVE`, frequency and current of the drive, and the parameter itself.
+    """
 
     def plain(self) -> dict[str, object]:
         """Return the optimum as a dictionary of plain values for `map.json`."""
@@ -156,12 +159,15 @@ def from_map(reductions: Sequence[float], values: Sequence[float]) -> tuple[floa
     """Return the best value of a parameter on the grid of a finished map, and the range of values nearly as good.
 
     Args:
-        reductions: reduction of DT in percent at each value; NaN if it is missing.
+        reductions: reduction of DT in percent at each value; NaN if that point is not measured or has failed.
         values: values of the parameter, in the same order.
 
     Returns:
         The value with the largest reduction, and the smallest and largest of the values contiguous with it whose
         reductions are within `REGION_POINTS` of it.
+
+    Raises:
+        ValueError: all reductions are NaN.
     """
     order = np.argsort(values)
     x, y = np.asarray(values, float)[order], np.asarray(reductions, float)[order]

@@ -53,10 +53,8 @@ DIRECTIONS = (RESET, UP, DOWN, BOTH)
 
 `both` measures up and down.
 """
-OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform", "drive.frequency_hz")
-"""Beginnings of the names of configuration values that a map rejects.
-
-They have no effect on the mechanics, or the map sets them itself.
+OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform")
+"""Beginnings of the names of configuration values that a map rejects: the mechanics under a sine do not depend on them.
 """
 # approximate computing time of a point on one core [s]: narrow gaps and chaos take twice as long, wide gaps a fifth
 POINT_S = 0.004
@@ -304,18 +302,11 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
 
 
 def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
-    plain = {name: value for name, value in given.items() if name in NAMED or "." in name}
-    nested = {name: value for name, value in given.items() if name not in plain}
-    if nested:
-        raise ConfigError(
-            f"unknown axis {next(iter(nested))!r}, known: {', '.join(NAMED)}, "
-            "or a number of the configuration by its dotted name"
-        )
-    if not 2 <= len(plain) <= 3:
+    if not 2 <= len(given) <= 3:
         raise axes.wrong("axes", "two or three named axes", list(given))
     found = {}
-    for name, value in plain.items():
-        refuse_owned(f"axes.{name}", name)
+    for name, value in given.items():
+        _check_axis(f"axes.{name}", name)
         found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
         if len(found[name]) < 2:
             raise axes.wrong(f"axes.{name}", "two values or more, or a range of from, to and step", value)
@@ -328,12 +319,7 @@ def _search(given: object) -> Search | None:
     wanted = axes.mapping("optimum", given)
     axes.check_keys("optimum", wanted, ("over", "from", "to", "points"))
     over = str(wanted.get("over", GAP))
-    refuse_owned("optimum.over", over)
-    if over not in NAMED and "." not in over:
-        raise ConfigError(
-            f"optimum.over: unknown axis {over!r}, known: {', '.join(NAMED)}, "
-            "or a number of the configuration by its dotted name"
-        )
+    _check_axis("optimum.over", over)
     low = axes.number("optimum.from", wanted.get("from"), 0.0)
     return Search(
         over=over,
@@ -341,6 +327,15 @@ def _search(given: object) -> Search | None:
         high=axes.number("optimum.to", wanted.get("to"), low),
         points=axes.whole("optimum.points", wanted.get("points", 41), 5, 10_000),
     )
+
+
+def _check_axis(key: str, name: str) -> None:
+    if name not in NAMED and "." not in name:
+        raise ConfigError(
+            f"{key}: unknown axis {name!r}, known: {', '.join(NAMED)}, or a number of the configuration by its dotted "
+            "name"
+        )
+    refuse_owned(key, name)
 
 
 def refuse_owned(key: str, name: str) -> None:
@@ -357,10 +352,10 @@ def refuse_owned(key: str, name: str) -> None:
         raise ConfigError(f"{key}: the start of the sphere cannot be an axis; use starts: [left, centre, right]")
     if name == "barriers.gap_m" and not key.startswith("set."):
         raise ConfigError(f"{key}: use gap_m instead of barriers.gap_m")
+    if name == "drive.frequency_hz":
+        raise ConfigError(f"{key}: use {FREQUENCY} instead of {name}")
     if name.startswith(OWNED):
-        raise ConfigError(
-            f"{key}: {name} is irrelevant to a map or dynamics study, or has its own key there; remove it"
-        )
+        raise ConfigError(f"{key}: {name} is irrelevant to a map or dynamics study; remove it")
 
 
 def _check_corners(plan: MapPlan) -> None:
@@ -377,7 +372,7 @@ def _check_corners(plan: MapPlan) -> None:
         for value in (line.values[0], line.values[-1]):
             changes, frequency, current, sphere = line.place(value)
             if not (frequency > 0.0 and current > 0.0):
-                raise ConfigError(f"frequency and current must be > 0, got {frequency:g} Hz and {current:g} A")
+                raise ConfigError(f"{FREQUENCY} and {CURRENT} must be > 0, got {frequency:g} and {current:g}")
             config = from_flat(from_flat(RigConfig(), line.changes), changes)
             place, speed = sphere or (0.0, 0.0)
             half = 0.5 * config.barriers.gap_m

@@ -82,7 +82,7 @@ class Operator(Generic[R]):
         run: controller run, which decides the next setpoint and keeps the measurements.
         drive: function that sets frequency and current of the rig. When the run ends or is aborted, it receives a last
             setpoint with zero current; then `busy` is False.
-        on_update: function that receives the run at its start and after every measurement.
+        on_update: function that receives the run at its start, and after each update with new measurements.
     """
 
     def __init__(self, run: R, drive: Callable[[Setpoint], None], on_update: Callable[[R], None]) -> None:
@@ -107,7 +107,7 @@ class Operator(Generic[R]):
     def handle(self, update: Update) -> None:
         """Pass the events of an update to the run one after the other, and set the drive to each requested setpoint.
 
-        `on_update` is called if the run has accepted a measurement.
+        `on_update` is called once if the run has accepted one or several measurements.
         """
         run, measured = self.run, self.run.measured
         for applied in update.applied:
@@ -147,7 +147,7 @@ def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) ->
     Args:
         sweep: the sweep, which decides the next setpoint and keeps the measurements.
         rig: new rig with its analysis; the sweep is updated after each block of scans.
-        on_update: function that receives the sweep at its start and after every measurement.
+        on_update: function that receives the sweep at its start, and after each block with new measurements.
 
     Raises:
         ImpactRigError: the rig rejected a command, or failed; the sweep keeps its measurements.

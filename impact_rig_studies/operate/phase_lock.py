@@ -235,8 +235,9 @@ class PhaseLock:
             return self._setpoint()
         if not sample.sound:
             return self.abort(
-                "base or current do not move: the amplitude of the inferior base or of the current is zero, or a "
-                "sensor gives no number"
+                "no phase can be measured: the amplitudes of inferior base and current must be finite and > 0, that of "
+                f"the superior base finite, got {abs(sample.base):g} m, {abs(sample.current):g} A and "
+                f"{abs(sample.superior):g} m"
             )
         if abs(sample.superior) > self._plan.superior_limit_m:
             return self.abort(
@@ -338,13 +339,14 @@ class PhaseLock:
         if self.locked_ns is None:
             if waited > plan.seek_limit_s:
                 self.abort(
-                    f"no resonance was found from {plan.start_hz:g} Hz within {plan.seek_limit_s:g} s of rig time, "
-                    f"between {plan.low_hz:g} and {plan.high_hz:g} Hz"
+                    f"no lock within {plan.seek_limit_s:g} s of rig time, searching from {plan.start_hz:g} Hz between "
+                    f"{plan.low_hz:g} and {plan.high_hz:g} Hz: the mean phase of a second was never within -90 ± "
+                    f"{plan.within_deg:g} degrees; start nearer to the resonance, or use another current"
                 )
         elif waited > plan.lose_limit_s:
             self.abort(
-                f"the lock was lost: the phase was not held for {plan.lose_limit_s:g} s of rig time within "
-                f"{plan.within_deg:g} degrees of -90 degrees"
+                f"the lock was lost: for {plan.lose_limit_s:g} s of rig time the phase was not within "
+                f"-90 ± {plan.within_deg:g} degrees"
             )
         elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:
             self.state = SweepState.FINISHED
@@ -486,8 +488,11 @@ class LockedSine:
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
         if self._since_ns is None:
-            return self.abort(f"{self._wanted.frequency_hz:g} Hz was not accepted within {self._limit_s:g} s")
-        return self.abort(f"no scans received for {self._limit_s:g} s")
+            return self.abort(
+                f"the rig did not accept {self._wanted.frequency_hz:g} Hz and {self._wanted.current_a:g} A within "
+                f"{self._limit_s:g} s of rig time (accept_limit_s)"
+            )
+        return self.abort(f"no scans received for {self._limit_s:g} s of rig time (accept_limit_s)")
 
     def abort(self, reason: str) -> Setpoint | None:
         """End a running lock as aborted because of an event outside of it, such as a trip of the rig.
@@ -628,7 +633,7 @@ class AmplitudeSweep:
     wait_s: float = 8.0
     """Rig time at each point, after it has locked or the limit has passed, before it is measured.
 
-    It limits the remaining transient.
+    It must be long enough for the transient to decay.
     """
     mean_s: float = 6.0  # rig time over which a point is averaged
     jump: float = 0.25  # relative change of DT between two points that is reported as a jump and not joined by a line

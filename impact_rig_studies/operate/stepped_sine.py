@@ -173,8 +173,9 @@ class SteppedSine:
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Process a row of `transmissibility/table`; return the next setpoint if the point is complete.
 
-        A settled measurement is accepted. Too many failed ones abort the sweep, or skip the point. Rows at another
-        frequency are ignored.
+        A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status
+        `not_settled`. More failed ones than `retries` abort the sweep, or skip the point. Rows at another frequency are
+        ignored.
         """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
@@ -216,9 +217,15 @@ class SteppedSine:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
         if not self._accepted and waited > self._plan.accept_limit_s:
-            return self._abort(f"{self.frequency_hz:g} Hz was not accepted within {self._plan.accept_limit_s:g} s")
+            return self._abort(
+                f"the rig did not accept {self.frequency_hz:g} Hz and {self.current_a:g} A within "
+                f"{self._plan.accept_limit_s:g} s of rig time (accept_limit_s)"
+            )
         if waited > self._plan.dwell_limit_s:
-            return self._abort(f"no measurement at {self.frequency_hz:g} Hz within {self._plan.dwell_limit_s:g} s")
+            return self._abort(
+                f"{self.frequency_hz:g} Hz was not measured within {self._plan.dwell_limit_s:g} s of rig time "
+                "(dwell_limit_s)"
+            )
         return None
 
     def abort(self, reason: str) -> Setpoint | None:

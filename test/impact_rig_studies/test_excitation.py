@@ -236,6 +236,23 @@ def test_an_invalid_plan_is_rejected_with_key_and_file(tmp_path, text, says):
         load(file, Pulse)
 
 
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{frequency_hz: [5, 10]}", "spectrum: missing: density"),
+        ("{frequency_hz: [5, 10], densty: [1, 1]}", "spectrum: unknown key densty: did you mean density"),
+        ("{frequency_hz: [5, 10, 20], density: [1, 1]}", "spectrum needs two corners or more: .* as many values"),
+        ("{frequency_hz: [10, 5], density: [1, 1]}", "spectrum needs two corners or more: ascending"),
+        ("1", "spectrum: a mapping is needed"),
+    ],
+)
+def test_an_invalid_spectrum_is_rejected_with_its_key(tmp_path, text, says):
+    file = tmp_path / "plan.yaml"
+    file.write_text(f"spectrum: {text}")
+    with pytest.raises(ConfigError, match=says):
+        load(file, RandomPlan)
+
+
 def test_the_installed_plans_are_the_defaults():
     folder = Path(__file__).parents[2] / "config" / "excitation"
     assert load(folder / "shock.yaml", Pulse) == Pulse()
@@ -256,6 +273,7 @@ def test_a_history_of_any_file_is_in_si_units_at_the_rate_of_the_rig(tmp_path):
         found = history(tmp_path / name, 2_000, "A", "drive")
         assert len(found) == 4_000
         assert np.abs(found - exact)[100:-100].max() < 0.01
+    assert len(history(tmp_path / "a.csv", 2_000, "A", "drive", file_hz=625.0)) == 4_000, "the times of the file count"
     with pytest.raises(ConfigError, match="which signal"):
         history(tmp_path / "a.npz", 2_000, "A")
     with pytest.raises(ConfigError, match="'mA' is no unit of m"):

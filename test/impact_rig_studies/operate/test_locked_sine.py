@@ -100,7 +100,7 @@ def test_a_locked_stretch_begins_when_the_setpoint_is_active() -> None:
     assert running.lock.measured == 0, "the command has not been confirmed"
     assert running.operator.busy
     running.run(3.0)
-    assert running.lock.reason == "8.9 Hz was not accepted within 5 s"
+    assert running.lock.reason == "the rig did not accept 8.9 Hz and 0.3 A within 5 s of rig time (accept_limit_s)"
     assert running.rested
 
 
@@ -116,7 +116,7 @@ def test_a_command_of_another_client_or_silence_ends_the_lock() -> None:
     silent.run(1.0)
     while silent.operator.busy:
         silent.block(lost=True)
-    assert silent.lock.reason == "no scans received for 5 s"
+    assert silent.lock.reason == "no scans received for 5 s of rig time (accept_limit_s)"
     assert silent.lock.on_scans(silent.rig.advance(silent.rig.block_end_ns(1))[0].scan) is None
     assert silent.operator.abort("late") is None
-    assert silent.lock.reason == "no scans received for 5 s"
+    assert silent.lock.reason == "no scans received for 5 s of rig time (accept_limit_s)"

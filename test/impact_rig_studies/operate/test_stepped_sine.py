@@ -108,12 +108,12 @@ def test_the_wait_for_a_measurement_is_bounded():
     one.start(0)
     assert one.on_time(2 * S) is None
     assert one.on_time(3 * S) == Setpoint(8.0, 0.0)
-    assert one.reason == "8 Hz was not accepted within 2 s"
+    assert one.reason == "the rig did not accept 8 Hz and 0.5 A within 2 s of rig time (accept_limit_s)"
     one.start(0)
     one.on_applied(8.0, 0.5, S)
     assert one.on_time(31 * S) is None
     assert one.on_time(32 * S) == Setpoint(8.0, 0.0)
-    assert one.reason == "no measurement at 8 Hz within 30 s"
+    assert one.reason == "8 Hz was not measured within 30 s of rig time (dwell_limit_s)"
 
 
 def test_a_trip_or_a_command_of_another_client_ends_the_sweep():
