@@ -61,15 +61,15 @@ def add_command(commands: Commands) -> None:
         nargs="*",
         type=Path,
         metavar="RUN",
-        help="recorded run to play back, without ROS 2, instead of starting a rig; two runs are shown side by side",
+        help="recorded run to play back, without ROS 2, instead of starting a rig; at most two, side by side",
     )
     parser.add_argument(
         "--attach",
         nargs="?",
         const=FOUND,
         metavar="NAMESPACE",
-        help="show a rig that already runs, instead of starting one; NAMESPACE such as /rig, without it the only rig "
-        "that is found",
+        help="show a rig that already runs and keeps running, instead of starting one; NAMESPACE such as /rig, without "
+        "it the only rig that is found: the page offers several, and waits for the first",
     )
     parser.add_argument(
         "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"

@@ -289,7 +289,7 @@ class Gateway:
         """Cancel the actions in progress whose rig is gone, so that their pages get an answer."""
         for running in list(self._running):
             if why := self._gone(running.instance):
-                self._break_off(running, f"{why}: it did not accept this")
+                self._break_off(running, f"{why}: the request was not confirmed")
 
     def end(self, why: str, *, bound: bool = False) -> None:
         """Cancel actions in progress.
@@ -516,13 +516,16 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine or phase lock on the rig; start its node first if it is absent.
+        """Start a stepped sine or phase lock on the rig; a lab that started the rig first starts an absent node for it.
 
         Args:
             frequencies: frequencies of the points [Hz].
             direction: up, down or up_down.
             hold: constant quantity: command, current, base, superior or phase.
             target: amplitude to which current, base or superior is controlled [A or m].
+
+        Raises:
+            Refused: the node is absent and cannot be started, or rejects the plan or the start.
         """
         was_there = self.seen(SWEEPER).lives
         if not was_there:
@@ -585,13 +588,16 @@ class Gateway:
         if not directory:
             raise Refused("the recorder has reported no recording: nothing to recover")
         target = Path(f"{directory}_recovered")
-        report = await asyncio.to_thread(recover, directory, target)
-        return f"recovered into {report.out.name if hasattr(report, 'out') else target.name}"
+        await asyncio.to_thread(recover, directory, target)
+        return f"recovered into {target.name}"
 
     async def do_restart(self) -> str:
         """Restart those nodes of this lab whose processes have ended, and label the analysis with the gap of the rig.
 
         A restarted rig is at rest and has its initial configuration.
+
+        Raises:
+            Refused: the lab did not start the rig, no process has ended, or a node does not report within `START_S`.
         """
         own = self._own
         if own is None:

@@ -71,7 +71,7 @@ class Instant:
     applied: Mapping[str, float]  # drive: frequency [Hz] and peak current [A]
     latched: str  # reason why the shaker was latched; empty if it was not
     plucked: bool  # whether the inferior base was locked after a pluck
-    changed_ns: int  # rig time of the last change of parameters or drive before
+    changed_ns: int  # rig time of the last change of parameters or drive up to then; without one, the stamp of scan 0
 
 
 class RunPlayer:
@@ -80,7 +80,8 @@ class RunPlayer:
     Times of the page are seconds since scan 0 of the first run; `offset_s` converts them for a second run.
 
     Args:
-        path: a run directory or an MCAP file; a truncated one is first recovered into a temporary directory.
+        path: a run directory or an MCAP file; one that cannot be opened, such as a truncated one, is first recovered
+            into a temporary directory.
         rig: namespace of the rig to show; None means the only one in the recording.
 
     Raises:
@@ -168,7 +169,7 @@ class RunPlayer:
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Continue playing at another time: refill the ring buffers with scans and motion before it.
+        """Continue playing at another time: refill the ring buffers with the seconds of scans and motion before it.
 
         Args:
             page_s: the time of the page [s].

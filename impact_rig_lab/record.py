@@ -79,7 +79,7 @@ def text(raw: Any) -> str:
 
 
 def fault_unit(kind: str, channel: str) -> str:
-    """Return the SI unit of the size of an instrument fault; empty if this kind has no size, or one without a unit.
+    """Return the unit of the size of an instrument fault; empty if this kind has no size, or one without a unit.
 
     Args:
         kind: kind of fault, a key of `FAULT_KINDS`.
@@ -248,9 +248,9 @@ class RigHistory:
         return self._part[1]
 
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
-        """Return the state of the rig at a rig time, and the last journal entry before that restarts a measurement.
+        """Return the state of the rig at a rig time, and the last entry up to then that makes a measurement restart.
 
-        Faults and samples of a stream are no such entries. The entry is None if there is none.
+        Entries on faults and samples of a stream do not. The entry is None if there is none among those kept.
         """
         view, newest = JournalView(), None
         for change in list(self._changes):

@@ -141,7 +141,8 @@ class Scope:
     def add(self, table: Table, start_ns: int) -> None:
         """Add a block of scans.
 
-        If it is far from the scans kept, or earlier, they are forgotten.
+        If it begins before the end of the scans kept, or more than the length of the buffer after it, they are
+        forgotten. A block that begins before scan 0 is ignored.
 
         Args:
             table: table of `daq/scan`.
@@ -169,6 +170,8 @@ class Scope:
 
     def command(self, table: Table, rate_hz: float, start_ns: int) -> None:
         """Add commanded samples of a stream, which are drawn together with the scans at the same times.
+
+        Samples for times up to the newest scan are dropped.
 
         Args:
             table: table of `shaker/waveform`.

@@ -363,7 +363,7 @@ class Server:
             self._thread.join()
             reason = self._failure.strerror or str(self._failure)
             raise ImpactRigError(
-                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port"
+                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port or --host"
             ) from self._failure
 
     def close(self) -> None:
@@ -615,13 +615,13 @@ class Server:
             names: names of one or two runs.
 
         Raises:
-            ImpactRigError: there is no such run, or there are more than two names.
+            ImpactRigError: a name is none of `runs`, there are more than two names, or a run cannot be shown.
         """
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown or len(names) > MOST_AT_ONCE:
             raise ImpactRigError(
-                f"there is no recorded run {unknown[0]!r} here"
+                f"{unknown[0]!r} is none of the newest {MOST_RUNS} recorded runs of this lab"
                 if unknown
                 else f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}"
             )

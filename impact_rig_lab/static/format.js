@@ -60,7 +60,7 @@ export function limits(before, low, high) {
   return fits && before[1] - before[0] < 4 * half ? before : wanted;
 }
 
-/** @param {number} amplitude @returns {number} decibels below 1 SI unit */
+/** @param {number} amplitude @returns {number} decibels relative to 1 SI unit, at least -240 */
 export function decibel(amplitude) { return 20 * Math.log10(Math.max(amplitude, 1e-12)); }
 
 /**

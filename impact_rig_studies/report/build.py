@@ -70,7 +70,7 @@ def build_report(
 
     Raises:
         ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
-            another rig; or margins or branches are given for results that were not simulated.
+            another rig; or margins or branches are given for a run or an imported campaign.
         RecordingError: there are no measurements yet, or the page cannot be written.
     """
     folder = directory if directory.is_dir() else directory.parent
@@ -89,7 +89,9 @@ def build_report(
         return write(data.title, html)
     done = run.open_finished(directory)
     if not done.points:
-        raise RecordingError(f"{directory} holds no measured point yet")
+        raise RecordingError(
+            f"{directory} holds no measured point yet: repeat the command that began this campaign, which continues it"
+        )
     if done.imported:
         _refuse_comparisons(directory, margins, branches)
         data = measured.of_campaign(done)
@@ -110,13 +112,15 @@ def build_report(
 
 
 def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
-    """Reject the options `--margins` and `--branches` for a report of measurements.
+    """Reject the options `--margins` and `--branches` for the report of a run or of an imported campaign.
 
     Raises:
         ConfigError: one of them is given.
     """
     if margins or branches:
-        raise ConfigError(f"--margins and --branches need a simulated campaign, but {directory} is a measurement")
+        raise ConfigError(
+            f"--margins and --branches need a simulated campaign, but {directory} is a run or an imported campaign"
+        )
 
 
 def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:

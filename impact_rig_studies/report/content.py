@@ -27,7 +27,7 @@ from pathlib import Path
 import attrs
 from markupsafe import Markup
 
-from impact_rig.analysis.uncertainty_budget import COVERAGE, plus_minus
+from impact_rig.analysis.uncertainty_budget import COVERAGE, Budget, plus_minus
 from impact_rig.drawing import Drawn
 from impact_rig.system import files
 from impact_rig_studies.report import page
@@ -55,6 +55,26 @@ def uncertain(value: float, u: float) -> Cell:
     if not (math.isfinite(value) and math.isfinite(u)):
         return number(value)
     return Cell(plus_minus(value, u), (value, COVERAGE * u))
+
+
+BUDGET_HEADINGS = ("source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)")
+
+
+def budget_rows(found: Budget) -> list[list[str | Cell]]:
+    """Return the rows of a table of an uncertainty budget of DT with the columns `BUDGET_HEADINGS`.
+
+    They are its contributions with a share of at least `LEAST_SHARE`, and last the combined standard uncertainty.
+    """
+    relative = found.u_transmissibility / found.transmissibility
+    rows: list[list[str | Cell]] = [
+        [
+            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
+            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
+        ]
+        for part in found.parts if found.share(part) >= LEAST_SHARE
+    ]  # fmt: skip
+    total = [number(100.0 * relative, ".2g"), number(found.u_transmissibility, ".2g"), Cell("100", 100.0)]
+    return [*rows, ["combined", "standard uncertainty", "", *total]]
 
 
 class Content:

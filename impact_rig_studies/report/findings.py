@@ -29,7 +29,7 @@ from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCY_HZ, REDUCTION
 from impact_rig_studies.campaign.results import Point
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.campaign.statements import Variation
-from impact_rig_studies.report.content import LEAST_SHARE, Cell, Content, number, uncertain
+from impact_rig_studies.report.content import BUDGET_HEADINGS, Cell, Content, budget_rows, number, uncertain
 from impact_rig_studies.report.dt import dampers
 from impact_rig_studies.report.page import paragraph
 
@@ -122,7 +122,6 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
     if chosen is None:
         return
     found = budget(chosen.rows, done.calibration)
-    relative = found.u_transmissibility / found.transmissibility
     name, frequency = content.fact("budget_case", chosen.label), content.fact("budget_hz", chosen.frequency_hz, "g")
     repetitions = content.fact("budget_measurements", len(chosen.rows))
     yield paragraph(
@@ -132,20 +131,12 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
         "of a small vibration. The errors of the sensitivities are the same in every DT of this report, so they cancel "
         "in reductions."
     )
-    rows: list[list[str | Cell]] = [
-        [
-            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
-            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
-        ]
-        for part in found.parts if found.share(part) >= LEAST_SHARE
-    ]  # fmt: skip
-    sums = (100.0 * relative, found.u_transmissibility, 100.0)
-    rows.append(["combined", "standard uncertainty", "", *(number(v, ".2g" if v < 100.0 else ".0f") for v in sums)])
     expanded = COVERAGE * found.u_transmissibility
+    relative = found.u_transmissibility / found.transmissibility
     whole = [number(100.0 * COVERAGE * relative, ".2g"), number(expanded, ".2g")]
+    rows = budget_rows(found)
     rows.append(["expanded", f"{COVERAGE:g} combined", "", *whole, ""])
-    headings = ["source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)"]
-    yield content.table("uncertainty_budget", headings, rows, [3, 4, 5])
+    yield content.table("uncertainty_budget", BUDGET_HEADINGS, rows, [3, 4, 5])
     result = uncertain(found.transmissibility, found.u_transmissibility)
     yield content.table("uncertainty_result", ["result", "DT"], [[chosen.label, result]], [1])
 

@@ -43,7 +43,6 @@ REGIMES = {
 }
 """Legend text and colour of each class; the colours differ in lightness, for readers with any colour vision."""
 PREDICTED = "#e5007d"  # colour of the predicted limits
-APART = 0.01  # relative difference of DT from which the two directions count as two answers
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
@@ -63,14 +62,15 @@ def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
     if plan.direction == BOTH and not pages:
         up, down = (np.asarray(done.values[layer]["dt"], float) for layer in (UP, DOWN))
         apart = 100.0 * (down / up - 1.0)
-        groups = np.where(np.abs(apart) > 100.0 * APART, TWO, QUIET)
         yield _drawn(
-            plan, "map_up_down", f"{plan.title}: down against up", apart, groups, "DT down / DT up − 1 (%)", None
+            plan, "map_up_down", f"{plan.title}: down against up", apart, None, "DT down / DT up − 1 (%)", None
         )
 
 
 def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
-    """Return the class of motion at each point of a map, as a number: `QUIET` … `CHAOTIC`, `NONE` if unresolved.
+    """Return the class of motion at each point of a map, as a number: `QUIET` … `CHAOTIC`, or `NONE`.
+
+    `NONE` means that the point is not measured yet, or that its motion could not be simulated.
 
     `values` are the results of the map by name, all of one shape.
     """
@@ -90,14 +90,15 @@ def _drawn(
     name: str,
     title: str,
     z: NDArray[np.float64],
-    groups: NDArray[np.int64],
+    groups: NDArray[np.int64] | None,
     unit: str,
     page: float | None,
 ) -> Drawn:
+    """Draw the values `z`, shown in `unit`, over the first two axes; without `groups` they are signed differences."""
     (x_name, x), (y_name, y) = list(plan.axes.items())[:2]
     (x_label, x_factor), (y_label, y_factor) = label_of(x_name), label_of(y_name)
     x_edges, y_edges = _edges(np.asarray(x) * x_factor), _edges(np.asarray(y) * y_factor)
-    signed = "down" in unit
+    signed = groups is None
     with style():
         figure, panes = new_axes(4.0 if signed else 6.4, (1.0,) if signed else (1.0, 1.0))
         limit = float(np.nanmax(np.abs(z))) if signed and np.isfinite(z).any() else None
@@ -106,7 +107,7 @@ def _drawn(
             vmin=-limit if limit else None, vmax=limit,
         )  # fmt: skip
         figure.colorbar(mesh, ax=panes[0], label=unit)
-        if not signed:
+        if groups is not None:
             _regimes(panes[1], x_edges, y_edges, groups)
             _predicted(panes, plan, page)
         for axis in panes:

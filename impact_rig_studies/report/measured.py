@@ -49,7 +49,7 @@ from impact_rig.states import Method
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.reduction import reduction
 from impact_rig_studies.report import cover
-from impact_rig_studies.report.content import LEAST_SHARE, Cell, Content, number, uncertain
+from impact_rig_studies.report.content import BUDGET_HEADINGS, Cell, Content, budget_rows, number, uncertain
 from impact_rig_studies.report.page import contents, heading, page, paragraph, section, tiles, title
 from impact_rig_studies.report.page import cover as cover_block
 
@@ -302,7 +302,6 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
     if not len(row):
         return
     found = budget(row, calibration)
-    relative = found.u_transmissibility / found.transmissibility
     of_a, effective = degrees_of_freedom(found, row[0])
     result = plus_minus(found.transmissibility, found.u_transmissibility)
     content.fact("budget_dt", found.transmissibility)
@@ -322,22 +321,14 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
         f"{_span(row['laser_amplitude'], 1e3, 'mm')}; response {row['regime'][0].decode()}. Type A comes from the "
         "measurement itself, B from the calibration. The sensitivity of a sensor is that at the amplitude of this case."
     )
-    cells: list[list[str | Cell]] = [
-        [
-            part.source, part.what, part.evaluation, number(100.0 * part.u_relative, ".2g"),
-            number(part.u_relative * found.transmissibility, ".2g"), number(100.0 * found.share(part), ".1f"),
-        ]
-        for part in found.parts if found.share(part) >= LEAST_SHARE
-    ]  # fmt: skip
-    combined = [number(100.0 * relative, ".2g"), number(found.u_transmissibility, ".2g"), Cell("100", 100.0)]
-    cells.append(["combined", "standard uncertainty", "", *combined])
-    headings = ["source", "error", "type", "relative u (%)", "u(DT)", "share of variance (%)"]
     yield heading("Budget")
-    yield content.table("uncertainty_budget", headings, cells, [3, 4, 5])
+    yield content.table("uncertainty_budget", BUDGET_HEADINGS, budget_rows(found), [3, 4, 5])
 
 
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
     """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
+
+    The latter are infinite without a part of type A.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """
