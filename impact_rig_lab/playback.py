@@ -141,7 +141,7 @@ class RunPlayer:
         return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
 
     def start(self) -> None:
-        """Start to read the marks of the whole run, in a thread."""
+        """Start to read the marks of the whole run in a thread: changes, measurements, faults, impacts, lost blocks."""
         self._marker.start()
 
     def close(self) -> None:
@@ -188,7 +188,7 @@ class RunPlayer:
             self._quiet.set()
 
     def play(self, page_s: float) -> None:
-        """Pass further messages to the record, up to a time of the page [s]."""
+        """Pass further messages to the record, up to and including a time of the page [s]."""
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
             self.record.take(self._topics[self._next.topic], bytes(self._next.data))
@@ -248,12 +248,12 @@ class RunPlayer:
         self._expected_ns = table.stamp_ns + length_ns
 
     def lost_blocks(self, page_s: float) -> int:
-        """Return the number of blocks of scans missing before a time of the page [s], as far as marks are read."""
+        """Return the number of blocks of scans missing up to a time of the page [s], as far as the run was read."""
         at = self.instant_ns(page_s)
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
     def at(self, page_s: float) -> Instant:
-        """Return the state of the rig at a time of the page [s], as far as marks have been read."""
+        """Return the state of the rig at a time of the page [s], by the part of the run whose marks have been read."""
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
         changed_ns = 0 if change is None else change.stamp_ns
@@ -287,7 +287,7 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the measurements before a time of the page [s], at most `MOST_ROWS`, in the form of `Curve.part`."""
+        """Return the newest measurements, at most `MOST_ROWS`, up to a time of the page [s], as `Curve.part` does."""
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 

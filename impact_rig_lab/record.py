@@ -342,7 +342,7 @@ class Curve:
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Add the rows of a table of `transmissibility/table`."""
+        """Add the rows of a `transmissibility/table`: all to `judged`, those with a measured value to `part`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -357,7 +357,7 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest status of the analysis, now or at a past rig time; None if there is none."""
+        """Return the newest judgement of the analysis, or the newest that ended up to a rig time; None without one."""
         rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
         return rows[-1] if rows else None
 

@@ -252,7 +252,10 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float) -> NDArray[np.float32]:
-        """Return the scans of the newest `span_s` seconds, shape (channels, scans), with channels as in `Trace.low`."""
+        """Return the scans of the newest `span_s` seconds, or all kept if these are fewer.
+
+        The shape is (channels, scans), with channels as in `Trace.low`.
+        """
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:

@@ -98,7 +98,7 @@ class Seen:
 
     @property
     def lives(self) -> bool:
-        """Return whether the node has reported recently, and its process has not ended."""
+        """Return whether the node has reported in the last `DEAD_S` seconds, and its process has not ended."""
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
@@ -203,12 +203,12 @@ class Pace:
 
     @property
     def is_hurried(self) -> bool:
-        """Return whether rig time runs so much faster than real time that pictures are drawn only occasionally."""
+        """Return whether rig time runs so fast (above `FAST_FACTOR`) that pictures are drawn only occasionally."""
         return self.speed > FAST_FACTOR
 
     @property
     def is_followed(self) -> bool:
-        """Return whether rig time runs slowly enough for the motion to be drawn."""
+        """Return whether rig time runs slowly enough (up to `FOLLOWED`) for the motion to be drawn."""
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:

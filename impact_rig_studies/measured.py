@@ -122,7 +122,10 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 
 def _unsettled(rows: NDArray[np.void]) -> list[str]:
-    """Return a text with gap, frequency and last status for each point without a settled measurement."""
+    """Return a text with gap, frequency and last status for each point without a settled measurement.
+
+    Without any rows, the only text is "nothing was measured".
+    """
     points = [case_of(gap) + (f" at {hz:.4g} Hz" if hz > 0.0 else "") for gap, hz in rows[["gap", "frequency"]]]
     settled = {point for point, row in zip(points, rows, strict=True) if row["settled"] == 1.0}
     last = dict(zip(points, rows["status"].astype(str), strict=True))

@@ -119,7 +119,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep by commanding zero current, and unsubscribe from the scans."""
+        """Abort a running sweep by commanding zero current, acknowledge received blocks, and unsubscribe from scans."""
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
         self._acknowledgements.flush()

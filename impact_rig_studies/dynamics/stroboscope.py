@@ -96,10 +96,9 @@ class OrbitSummary(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Transmissibility on an orbit, and its derivatives by the rig's parameters, for a fit to measurements."""
+    """Derivatives of the transmissibility on an orbit by the rig's parameters, for a fit to measurements."""
 
-    log_dt: float  # ln(|X_1| / |X_b|) of the fundamentals
-    by: Real  # derivatives of log_dt by each parameter, shape (number of parameters,)
+    by: Real  # derivatives of ln(|X_1| / |X_b|) of the fundamentals by each parameter, shape (number of parameters,)
     stable: bool  # whether all multipliers of the orbit are inside the unit circle
 
 
@@ -315,7 +314,7 @@ class Stroboscope:
         )
 
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
-        """Return ln DT on the orbit near z, and its derivatives by any `count` parameters q of the rig.
+        """Return the derivatives of ln DT, on the orbit near z, by any `count` parameters q of the rig.
 
         z → f(z, q) is the map, g(z, q) is ln DT during one return, and J = ∂f/∂z. The orbit moves by
         (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Only single returns to the map are simulated.
@@ -346,9 +345,9 @@ class Stroboscope:
         if not (np.isfinite(by_z).all() and np.isfinite(by_place).all()):
             return None
         matrix, gradient = by_z[:-1], by_z[-1]
-        moved = np.linalg.solve(np.eye(len(z)) - matrix, np.column_stack([here[:-1] - z, by_place[:-1]]))
+        moved = np.linalg.solve(np.eye(len(z)) - matrix, by_place[:-1])
         stable = bool(np.abs(np.linalg.eigvals(matrix)).max() < 1.0)
-        return Slopes(float(here[-1] + gradient @ moved[:, 0]), by_place[-1] + gradient @ moved[:, 1:], stable)
+        return Slopes(by_place[-1] + gradient @ moved, stable)
 
     def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, int]:
         """Simulate one return from z; return the coordinates after it and, last, ln DT during it, and its impacts.

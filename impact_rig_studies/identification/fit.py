@@ -241,7 +241,7 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Return whether the fit has converged, and model and data agree."""
+        """Return whether the fit has converged, `chance` is at least `SIGNIFICANCE`, and no gap is `contradicted`."""
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property
@@ -254,7 +254,7 @@ class Identified:
         return float(np.exp(self.log_constants[NAMES.index(name)]))
 
     def u(self, name: str) -> float:
-        """Return the standard uncertainty of a constant, in its unit in `UNITS`."""
+        """Return the standard uncertainty of a constant, in its unit in `UNITS`; infinite if it is undetermined."""
         return self.value(name) * float(self.information.u_relative[NAMES.index(name)])
 
 
@@ -311,7 +311,10 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
 
 
 def _damping(bent: Real) -> Real:
-    """Return rows for the matrix of the residuals' derivatives, which damp constants that the data do not determine."""
+    """Return rows for the matrix of the residuals' derivatives, which damp constants that the data do not determine.
+
+    Their shape is (7, 7 + k); `bent` are the derivatives by the k nuisance parameters, shape (m, k).
+    """
     return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
 
 
@@ -503,7 +506,10 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add a fit to `held` where the probability density changes most; return whether that was done."""
+        """Add a fit to `held` in the middle of the interval of e over which the probability density changes most.
+
+        Returns False if that change is small enough, or the fit has failed.
+        """
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
         density, width = np.exp(-0.5 * (cost - cost.min())), np.diff(e)

@@ -217,7 +217,7 @@ SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Measure natural frequency and damping ratio of a simulated rig by a pluck without its sphere."""
+    """Pluck a simulated rig without its sphere from `DISPLACEMENT_M`, and measure f_n and ζ from its scans."""
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
     rig.core.pluck(DISPLACEMENT_M)

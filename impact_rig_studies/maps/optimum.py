@@ -127,7 +127,7 @@ def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: fl
         values: values of the parameter.
         **changed: values that replace those of the plan, by name; one of `over` is ignored.
     """
-    return measure_line(plan.search_line(over, values, {name: one for name, one in changed.items() if name != over}))
+    return measure_line(plan.line(over, values, {name: one for name, one in changed.items() if name != over}))
 
 
 def _sensitivity(plan: MapPlan, over: str, best: float) -> dict[str, float]:

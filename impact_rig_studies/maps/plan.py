@@ -19,6 +19,7 @@ names key, value, range and file. A map that would take too long is rejected wit
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import os
@@ -181,25 +182,29 @@ class MapPlan:
         """Number of measured points: grid points times layers."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
+    @functools.cached_property
     def changes(self) -> dict[str, Value]:
-        """Return the configuration values of `base` that differ from the default rig, by dotted name."""
+        """Configuration values of `base` that differ from the default rig, by dotted name."""
         return differences(self.base)
 
-    def search_line(self, over: str, values: tuple[float, ...], held: Mapping[str, float] | None = None) -> MapLine:
-        """Return a line that measures points of a search for the optimum, each from rest.
+    def line(
+        self, along: str, values: tuple[float, ...], held: Mapping[str, float] | None = None, layer: str = RESET
+    ) -> MapLine:
+        """Return a line of the map, or of a search for the optimum.
 
         Args:
-            over: name of the parameter that is searched for.
-            values: its values.
+            along: name of the axis along the line, or of the parameter that is searched for.
+            values: its ascending values.
             held: values that replace those of `base`, by name of axis; None means none.
+            layer: one of `layers`; by default each point starts from rest.
         """
         return MapLine(
-            changes=self.changes(),
+            changes={**self.changes, "sphere.start": layer} if layer in STARTS else self.changes,
             settings=self.settings,
             held=held or {},
-            along=over,
-            values=values,
-            direction=RESET,
+            along=along,
+            values=values[::-1] if layer == DOWN else values,
+            direction=layer,
             frequency_hz=self.frequency_hz,
             current_a=self.current_a,
         )
@@ -207,18 +212,8 @@ class MapPlan:
     def lines(self) -> list[MapLine]:
         """Return all lines of the map, layer by layer; each runs along the axis `sweep`."""
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
-        values, changes = self.axes[self.sweep], self.changes()
         return [
-            MapLine(
-                changes={**changes, "sphere.start": layer} if layer in STARTS else changes,
-                settings=self.settings,
-                held=dict(zip(others, held, strict=True)),
-                along=self.sweep,
-                values=values[::-1] if layer == DOWN else values,
-                direction=layer,
-                frequency_hz=self.frequency_hz,
-                current_a=self.current_a,
-            )
+            self.line(self.sweep, self.axes[self.sweep], dict(zip(others, held, strict=True)), layer)
             for layer in self.layers
             for held in itertools.product(*others.values())
         ]
@@ -367,7 +362,7 @@ def _check_corners(plan: MapPlan) -> None:
     lines = plan.lines()
     ends = lines[:: max(1, len(lines) - 1)]
     if plan.search is not None:
-        ends.append(plan.search_line(plan.search.over, (plan.search.low, plan.search.high)))
+        ends.append(plan.line(plan.search.over, (plan.search.low, plan.search.high)))
     for line in ends:
         for value in (line.values[0], line.values[-1]):
             changes, frequency, current, sphere = line.place(value)

@@ -44,7 +44,7 @@ from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
 
 @attrs.frozen
 class Setpoint:
-    """Setpoint of the drive, to which it is to be set."""
+    """Frequency and current to which a sweep or phase lock requests the drive to be set."""
 
     frequency_hz: float
     current_a: float  # peak current [A] (m or V by `drive.kind`)
@@ -131,7 +131,7 @@ class SteppedSine:
         return running if self.state is SweepState.RUNNING else f"finished, {count} points"
 
     def figures(self) -> dict[str, object]:
-        """Return the progress by key for the diagnostics of a node."""
+        """Return points done, all points, present frequency and skipped frequencies [Hz] by key, for diagnostics."""
         done, count = self.progress
         return {"points_done": done, "points": count, "frequency_hz": self.frequency_hz, "skipped": self.skipped}
 

@@ -86,7 +86,7 @@ def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
 
 
 def written(done: Finished) -> str:
-    """Return the time at which the results of a campaign were written; empty if unknown."""
+    """Return the time at which the results of a campaign were written, as in its `summary.json`; empty if unknown."""
     try:
         return str(json.loads((done.directory / SUMMARY_FILE).read_text(encoding="utf-8")).get("written", ""))
     except (OSError, ValueError):

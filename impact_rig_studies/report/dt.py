@@ -304,7 +304,7 @@ REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
 
 
 def colour(gap_m: float) -> str:
-    """Return the colour in which a gap, or no sphere, is drawn in all figures."""
+    """Return the colour in which a gap, or no sphere, is drawn in all figures; `INK` for a gap not in the paper."""
     gaps = list(REDUCTION_PERCENT)
     return MUTED if gap_m == NO_SPHERE else SERIES[gaps.index(gap_m)] if gap_m in gaps else INK
 
