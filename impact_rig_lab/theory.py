@@ -20,10 +20,12 @@ another relevant value has changed, and skips outdated requests.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple  # values of parameters and JSON
 
@@ -222,11 +224,8 @@ class Theory:
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
         self.branches: Sequence[Continued] = ()  # continued motions, which are drawn as well where they exist
         self._on_prediction = on_prediction
-        self._lock = threading.Lock()
-        self._wish: tuple[dict[str, Any], float] | None = None
-        self._known: tuple[dict[str, Any], float] | None = None
-        self._ended = False
-        self._thread: threading.Thread | None = None
+        self._newest: tuple[dict[str, Any], float] | None = None
+        self._worker = ThreadPoolExecutor(1, "lab-theory", lower_priority)
 
     def want(self, values: Mapping[str, Any], amplitude: float) -> None:
         """Request the prediction for some settings; if they are those of the previous request, nothing happens.
@@ -236,40 +235,26 @@ class Theory:
             amplitude: peak amplitude of its drive [A or m by `drive.kind`].
         """
         wish = {name: values[name] for name in DECIDING if name in values}, amplitude
-        with self._lock:
-            if self._ended or wish == self._known:
-                return
-            self._wish = self._known = wish
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="lab-theory", daemon=True)
-                self._thread.start()
+        if wish != self._newest:
+            self._newest = wish
+            with contextlib.suppress(RuntimeError):  # closed
+                self._worker.submit(self._compute, wish)
 
     def close(self) -> None:
         """End the computation: wait for a running prediction, and ignore later requests."""
-        with self._lock:
-            self._ended = True
-            thread = self._thread
-        if thread is not None:
-            thread.join()
+        self._worker.shutdown(cancel_futures=True)
 
-    def _run(self) -> None:
-        """Compute the newest request again and again until none is left; body of the thread."""
-        lower_priority()
-        while True:
-            with self._lock:
-                wish, self._wish = self._wish, None
-                if wish is None or self._ended:
-                    self._thread = None
-                    return
-            try:
-                found = predicted(*wish)
-            except Exception as error:  # values of any origin: the next request may differ
-                found = {"lines": [], "words": f"No prediction: {error}"}
-            for one in self.branches:
-                if one.exists(*wish):
-                    words = f"{found['words']} Also motions of the model: {one.title}."
-                    found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
-            with self._lock:
-                overtaken = self._wish is not None
-            if not overtaken:
-                self._on_prediction(found)
+    def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
+        """Compute the prediction for a request, and report it, unless there is a newer request."""
+        if wish is not self._newest:
+            return
+        try:
+            found = predicted(*wish)
+        except Exception as error:  # values of any origin: the next request may differ
+            found = {"lines": [], "words": f"No prediction: {error}"}
+        for one in self.branches:
+            if one.exists(*wish):
+                words = f"{found['words']} Also motions of the model: {one.title}."
+                found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
+        if wish is self._newest:
+            self._on_prediction(found)

@@ -266,12 +266,10 @@ class HeldDrive:
 class _Answer(NamedTuple):
     """Response of the linear rig to drive and sphere for given Θ: complex amplitudes, and the gap of the motion."""
 
-    s: Complex
-    force: Complex
-    ratio: Complex
+    ratio: Complex  # X_1 / X_b
     current_a: Real
-    base: Complex
-    superior_m: Real
+    base: Complex  # X_b
+    superior_m: Real  # |X_1|
     gap_m: Real
 
 
@@ -333,7 +331,7 @@ class LinearRig:
             current = held.superior_m / np.abs(per_current * ratio)
         base = current * per_current
         superior = np.abs(base * ratio)
-        return _Answer(s, force, ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
+        return _Answer(ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
 
     def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
         """Return the motions with these Θ, shape (n,), each with the gap at which it occurs.
@@ -343,7 +341,7 @@ class LinearRig:
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
         answer = self._answer(theta, frequency, held)
-        s, _, ratio, current, base, superior, gap = answer
+        ratio, current, base, superior, gap = answer
         if held.superior_m is not None:  # a controller stabilises the structure
             kind = np.where(manifold.stable(theta), STABLE, np.where(theta < THETA_SYMMETRIC, FOLD, SYMMETRY))
         else:
@@ -356,7 +354,7 @@ class LinearRig:
             superior_m=superior,
             dt=np.abs(ratio),
             phase_rad=np.angle(ratio),
-            impact_speed_m_s=manifold.approach_speed(theta) * np.abs(s) * gap / 2.0,
+            impact_speed_m_s=manifold.approach_speed(theta) * (2.0 * math.pi * frequency) * gap / 2.0,
             impact_phase_rad=manifold.impact_phase_rad(theta),
             theta=theta,
             stable=kind == STABLE,
