@@ -618,7 +618,10 @@ def start_ns(info: Table) -> int:
     """
     since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
     if not 0.0 <= since_s < LONGEST_RUN_S:
-        raise RecordingError(f"daq/info states an invalid time of scan 0: {since_s:g} s before it")
+        raise RecordingError(
+            f"daq/info states an invalid time since scan 0 (since_start): it must be >= 0 and < {LONGEST_RUN_S:g} s, "
+            f"got {since_s:g}"
+        )
     return info.stamp_ns - round(since_s * NS_PER_S)
 
 

@@ -176,7 +176,7 @@ class _Sensors:
     def _differs(self, other: _Sensors, what: str, value: str, first: str) -> RecordingError:
         return RecordingError(
             f"{other.name}: {what} is {value}, but {first} in {self.name}: all runs of a campaign must have the same "
-            "instruments"
+            "instruments, so import the others into a campaign of their own"
         )
 
 

@@ -351,8 +351,9 @@ def _frf(found: Frf, unit: str) -> ResultSummary:
         ""
         if len(good)
         else (
-            f"No result: none of {len(found.excited)} excited lines has a coherence above {COHERENT}, so the "
-            "response is noise. Drive harder (--rms), or average more (--frames)."
+            f"No result: none of {len(found.excited)} excited lines has a coherence above {COHERENT}: noise of the "
+            "sensors or distortion by the sphere hides the response. Against noise, drive harder (--rms); against "
+            "distortion, measure without the sphere (--gap none)."
         )
     )
     sentences = [
