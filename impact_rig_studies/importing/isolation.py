@@ -28,6 +28,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
+import attrs
 import numpy as np
 
 from impact_rig.errors import ImpactRigError, RecordingError
@@ -38,7 +39,7 @@ from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, Importe
 LIMIT_S, LIMIT_PER_MIB_S = 8.0, 2.0
 """Limit of a reader's computing time [s]: a constant part, and a part per MiB of its file."""
 READ_BYTES = 2**20
-_REFUSED, _DAMAGED, _MEMORY = "refused", "damaged", "memory"
+_REFUSED, _DAMAGED, _MEMORY, _LENGTHS = "refused", "damaged", "memory", "lengths"
 
 
 def run(
@@ -161,33 +162,24 @@ def _receive(source: int, deadline: float) -> bytes:
 
 
 def _send(found: ImportedSignals, out: BinaryIO) -> None:
-    """Write signals into the pipe to the parent: a line of JSON, then all numbers; shared numbers are sent once."""
+    """Write signals into the pipe to the parent: a line of JSON, then all numbers; shared numbers are sent once.
+
+    In the JSON, the position of an array takes its place.
+    """
     arrays: list[Real] = []
     places: dict[int, int] = {}
 
-    def place(values: Real | None) -> int | None:
-        if values is None:
-            return None
-        if id(values) not in places:
-            places[id(values)] = len(arrays)
-            arrays.append(np.ascontiguousarray(values, np.float64))
-        return places[id(values)]
+    def place(_owner: object, _field: object, value: object) -> object:
+        if not isinstance(value, np.ndarray):
+            return value
+        if id(value) not in places:
+            places[id(value)] = len(arrays)
+            arrays.append(np.ascontiguousarray(value, np.float64))
+        return places[id(value)]
 
-    signals = []
-    for name, one in found.signals.items():
-        x = one.abscissa
-        about = [x.kind.value, x.unit, x.start, x.step, place(x.values), x.resolution, x.note]
-        signals.append([name, place(one.values), one.unit, about, one.kind.value, one.origin])
-    reply = {
-        "format": found.format,
-        "signals": signals,
-        "lengths": [len(one) for one in arrays],
-        "start_ns": found.start_ns,
-        "texts": {name: list(words) for name, words in found.texts.items()},
-        "left_out": dict(found.left_out),
-        "remarks": list(found.remarks),
-    }
-    out.write(json.dumps(reply).encode() + b"\n")
+    reply = attrs.asdict(found, filter=lambda field, _: field.name != "path", value_serializer=place)
+    lengths = [len(one) for one in arrays]
+    out.write(json.dumps({_LENGTHS: lengths, **reply}).encode() + b"\n")
     for values in arrays:
         out.write(values.data)
 
@@ -195,23 +187,21 @@ def _send(found: ImportedSignals, out: BinaryIO) -> None:
 def _decoded(path: Path, reply: dict[str, Any], numbers: memoryview) -> ImportedSignals:
     arrays: list[Real] = []
     at = 0
-    for length in reply["lengths"]:
+    for length in reply.pop(_LENGTHS):
         arrays.append(np.frombuffer(numbers, np.float64, length, at))
         at += 8 * length
     shared: dict[str, Abscissa] = {}
 
-    def abscissa(about: list[Any]) -> Abscissa:
+    def abscissa(about: dict[str, Any]) -> Abscissa:
         key = json.dumps(about)
         if key not in shared:
-            kind, unit, start, step, place, resolution, note = about
-            values = None if place is None else arrays[place]
-            shared[key] = Abscissa(AbscissaKind(kind), unit, start, step, values, resolution, note)
+            values = None if about["values"] is None else arrays[about["values"]]
+            shared[key] = Abscissa(**about | {"kind": AbscissaKind(about["kind"]), "values": values})
         return shared[key]
 
-    signals = {
-        name: Signal(arrays[place], unit, abscissa(about), SignalKind(kind), origin)
-        for name, place, unit, about, kind, origin in reply["signals"]
-    }
-    return ImportedSignals(
-        path, reply["format"], signals, reply["start_ns"], reply["texts"], reply["left_out"], tuple(reply["remarks"])
-    )
+    def signal_of(about: dict[str, Any]) -> Signal:
+        values, kind = arrays[about["values"]], SignalKind(about["kind"])
+        return Signal(**about | {"values": values, "kind": kind, "abscissa": abscissa(about["abscissa"])})
+
+    signals = {name: signal_of(about) for name, about in reply["signals"].items()}
+    return ImportedSignals(path, **reply | {"signals": signals, "remarks": tuple(reply["remarks"])})
