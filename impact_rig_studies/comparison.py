@@ -120,9 +120,9 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 class Comparison:
     """Result of `compare`: a measured run, and the model with the same drive.
 
-    `places` are ascending by gap and frequency. `excerpt` is the last settled measurement, with its sensors' lags
-    corrected, and `model` has the model's scans at the same times. `missing` names what a requested fit needs and the
-    run does not have.
+    `driven_by` is `current` or `base`, and `config` the model's configuration. `places` are ascending by gap and
+    frequency. `excerpt` is the last settled measurement, with its sensors' lags corrected, and `model` has the model's
+    scans at the same times. `missing` names what a requested fit needs and the run does not have.
     """
 
     driven_by: str  # `current` or `base`

@@ -35,7 +35,10 @@ Tables = Mapping[str, Callable[[str], Columns]]
 
 
 def map_points(directory: Path) -> Tables | None:
-    """Return the table of the map in a directory, as `points`; None if the directory contains no map."""
+    """Return the map in a directory as the table `points`; None if the directory contains no map.
+
+    The table is a function, so that the map is read only if it is exported.
+    """
     if not maps.store(directory).file.exists():
         return None
     return {POINTS: lambda _suffix: by_columns(*maps.table(maps.open_map(directory)))}

@@ -44,7 +44,7 @@ def wrong(key: str, rule: str, value: object) -> ConfigError:
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
-    """Reject a mapping of a study's file, found under `key`, with keys other than the known ones.
+    """Reject a mapping of a study's file, found under `key` (empty for the file itself), with an unknown key.
 
     Raises:
         ConfigError: a key is unknown; the message names the first such key and all known ones.
@@ -152,7 +152,9 @@ def numbers(key: str, value: object, low: float, high: float = math.inf) -> tupl
 
 
 def gaps(key: str, value: object) -> tuple[float, ...]:
-    """Return the items of a value read by `values`, each of which must be a gap [m]; `none` becomes `NO_SPHERE`.
+    """Return the items of a value read by `values`, each of which must be a gap [m].
+
+    The text `none` and a missing value become `NO_SPHERE`.
 
     Raises:
         ConfigError: a gap is not a number in (0, 1] m; with a gap of 0 both barriers would hold the sphere.

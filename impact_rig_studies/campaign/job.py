@@ -118,7 +118,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Digest of all values that determine the results, without code and traces: 16 hexadecimal digits."""
+        """Digest of all values that determine the results: 16 hexadecimal digits. Code and `traces` do not count."""
         content = {
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
@@ -129,7 +129,7 @@ class Job:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """Return a short name for the reader: the gap, and the frequency or the range of a sweep."""
+        """Return a short name for the reader, such as `gap 4 mm, 9.1 Hz` or `no sphere, 7.5 to 10.5 Hz up`."""
         gap = case_of(self.gap_m)
         first, last = min(self.frequencies_hz), max(self.frequencies_hz)
         return f"{gap}, {first:g} Hz" if first == last else f"{gap}, {first:g} to {last:g} Hz {self.direction.value}"

@@ -94,7 +94,10 @@ class Reductions:
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def errors(self) -> dict[float, float]:
-        """Return the measured reductions minus the paper's, in percentage points, by gap [m]; only the paper's gaps."""
+        """Return the measured reductions minus the paper's, in percentage points, by gap [m].
+
+        It has those of the paper's gaps that were measured.
+        """
         ours = self.percent()
         return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
 

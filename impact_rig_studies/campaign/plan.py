@@ -88,7 +88,8 @@ class Study:
 class Planned:
     """Job of a campaign, with its study, and its values of the study's axes other than frequency, gap and current.
 
-    `reference` states whether its rig is the reference rig, for which the paper's statements are judged.
+    `axes` has these values by the dotted name of the configuration value. `reference` states whether the job's rig is
+    the reference rig, for which the paper's statements are judged.
     """
 
     study: str

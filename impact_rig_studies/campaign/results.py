@@ -67,7 +67,7 @@ class Point:
 
     @property
     def settled(self) -> bool:
-        """Return whether all rows of the point are settled measurements."""
+        """Return whether the point has measurements and all of them are settled."""
         return len(self.rows) > 0 and not self.failure
 
     @property
@@ -102,7 +102,7 @@ class Point:
 
     @property
     def impacts(self) -> bool:
-        """Return whether the orbit counts as impacting: at least `IMPACTING` impacts per cycle."""
+        """Return whether the orbit counts as impacting: `IMPACTING` impacts per cycle or more; false if unmeasured."""
         return self.impacts_per_cycle >= IMPACTING
 
     @property
@@ -207,9 +207,8 @@ COLUMNS = (
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     """Return the points as a table: the names of the columns, and one row per point.
 
-    The columns are `COLUMNS` and then one per axis of any study.
-
-    Missing measurements and the gap without sphere are NaN; an axis that a study does not have is an empty text.
+    The columns are `COLUMNS` and then one per axis of any study. Missing measurements and the gap without sphere are
+    NaN; an axis that a study does not have is an empty text.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [

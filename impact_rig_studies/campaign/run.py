@@ -86,7 +86,10 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions of DT at 9.1 Hz for the paper's gaps; NaN or absent if not measured."""
+        """Return the reductions of DT at 9.1 Hz for those of the paper's gaps that were measured.
+
+        Without a settled point without the sphere there are none.
+        """
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
         return Reductions.of({gap: point.rows for gap, point in found.items() if point}, self.calibration)

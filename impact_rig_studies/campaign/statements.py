@@ -46,7 +46,11 @@ GAPS_M = tuple(REDUCTION_PERCENT)
 
 
 class Worth(enum.StrEnum):
-    """Strength of the evidence for a statement."""
+    """Strength of the evidence for a statement, with regard to the constants that were chosen for the rig.
+
+    `FIT`: it holds for these constants, and others would break it. `FOLLOWS`: it repeats what they were fitted to.
+    `PREDICTION`: no variation of them breaks it.
+    """
 
     FIT = "fit"  # it holds for the chosen constants; others would break it (`margins`)
     FOLLOWS = "follows from the fit"  # it repeats what was fitted: the natural frequency, or the five reductions

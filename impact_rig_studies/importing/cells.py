@@ -87,7 +87,11 @@ def without_markers(values: Real) -> Real:
 
 
 def half_digit(cell: str) -> float:
-    """Return half of the last digit of a written number, its largest possible rounding error: 0.005 for `1.25`."""
+    """Return half of the last digit of a number in a cell, its largest possible rounding error: 0.005 for `1.25`.
+
+    Raises:
+        ValueError: the cell has no number.
+    """
     mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
     decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0
     return float(0.5 * 10.0 ** (int(exponent or 0) - decimals))
@@ -187,7 +191,10 @@ def _time(cell: str) -> re.Match[str] | None:
 
 
 class Times:
-    """Column of dates, times of day or durations, converted to nanoseconds (`ns`)."""
+    """Column of dates, times of day or durations, converted to nanoseconds (`ns`).
+
+    `has_date` and `has_clock` state whether a cell has a date, and a time of day or duration.
+    """
 
     def __init__(self, cells: Sequence[str]) -> None:
         """Convert the cells of a column.

@@ -170,7 +170,7 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
 
 
 def unit_cells(cells: Sequence[str]) -> list[str]:
-    """Return the units in a row of units, without brackets; a label such as `units` in the first cell is dropped."""
+    """Return the units in a row of units, without brackets; a label such as `units` in the first cell becomes empty."""
     units = [cell.strip().strip("[]").strip() for cell in cells]
     units = [unit[1:-1] if unit.startswith("(") and unit.endswith(")") else unit for unit in units]
     return ["", *units[1:]] if units and units[0].strip(":").lower() in _UNIT_LABELS else units

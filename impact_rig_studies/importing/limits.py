@@ -43,7 +43,7 @@ def allow_values(count: float, file_bytes: int) -> None:
     """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: `count` numbers are above the limit.
+        BudgetError: `count` is above `VALUES`, or numbers of 8 bytes are above the limit of `allow_bytes`.
     """
     budget.allow("values in a file", count, VALUES)
     allow_bytes(8.0 * count, file_bytes)
@@ -53,7 +53,7 @@ def allow_bytes(size: float, file_bytes: int) -> None:
     """Reject a file whose content of `size` bytes after decompression is far larger than the file.
 
     Raises:
-        BudgetError: the content is too large.
+        BudgetError: `size` is above `EXPANDED_BYTES` plus `EXPANDED_PER_BYTE` for each byte of the file.
     """
     limit = EXPANDED_BYTES + EXPANDED_PER_BYTE * file_bytes
     budget.allow(f"bytes of content in a file of {file_bytes} bytes", size, limit)

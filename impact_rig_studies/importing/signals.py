@@ -39,7 +39,7 @@ class SignalKind(enum.StrEnum):
 
 
 class AbscissaKind(enum.StrEnum):
-    """Quantity over which a signal is given."""
+    """Quantity over which a signal is given; `NONE` if the file gives neither times nor a rate."""
 
     TIME = "time"
     FREQUENCY = "frequency"

@@ -38,8 +38,9 @@ CHANCE = 1e-9  # probability that differences are multiples of a number within t
 def step_of(values: Real) -> float:
     """Return the step of which all differences of a signal's values are multiples, in their unit; 0 if there is none.
 
-    If there are enough values, only those in the upper half of the amplitude count: numbers printed with a fixed number
-    of significant digits have finer steps where they are small, which do not matter for the amplitude.
+    The last `SAMPLES` values are used. If there are enough of them, only those in the upper half of the amplitude
+    count: numbers printed with a fixed number of significant digits have finer steps where they are small, which do not
+    matter for the amplitude.
     """
     values = values[-SAMPLES:]
     values = values[np.isfinite(values)]

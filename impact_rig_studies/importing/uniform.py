@@ -69,9 +69,9 @@ class Grid:
 def aligned(
     path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
 ) -> tuple[Abscissa, dict[str, Real]]:
-    """Return signals with different times, interpolated at common times.
+    """Return common times for signals with different times, and the signals interpolated at these.
 
-    These are the times of the signal with the smallest period, from the latest start to the earliest end of all.
+    They are the times of the signal with the smallest period, from the latest start to the earliest end of all.
 
     Raises:
         ConfigError: a signal has no times or misses scans, its times do not increase, a value is not finite, or the
@@ -283,7 +283,10 @@ def _mostly_equal(steps: Real) -> bool:
 
 
 def last_digit(times: Real) -> float:
-    """Return the value of the last decimal digit of times [s], such as 0.001; above `DECIMALS` decimals, float32's."""
+    """Return the value of the last decimal digit of times [s], such as 0.001.
+
+    With more than `DECIMALS` decimals it is the spacing of numbers in single precision at the last time.
+    """
     for decimals in range(DECIMALS + 1):
         scaled = times * 10.0**decimals
         noise = 8.0 * float(np.spacing(np.abs(scaled).max()))

@@ -92,8 +92,11 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     """Read the columns in the lines of a LabVIEW measurement file as signals.
 
+    Segments that continue the first one without a gap are joined to it; all others are left out.
+
     Raises:
         RecordingError: the file has no rows of numbers.
+        BudgetError: it has more values than a file of its size may contain.
     """
     separator = (
         "," if any(line.startswith("Separator,") or line.lower() == "separator\tcomma" for line in lines[:40]) else "\t"
