@@ -281,7 +281,7 @@ def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
 
 
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
-    """Return a rejection that names laser or base if it alone has changed since an earlier row of the same setting."""
+    """Return a rejection that names laser or base if it alone has changed since an earlier row `before`; else None."""
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)

@@ -175,7 +175,7 @@ class RunWriter:
         """Register a topic, at any time. If the topic is already registered with the same type, the call has no effect.
 
         Raises:
-            RecordingError: the topic is known with another type (the run continues), or the file cannot be written.
+            RecordingError: the topic is known with another type (the run continues), or the run has ended.
         """
         self._refuse_if_closed()
         known = self._channels.get(topic.name)

@@ -101,7 +101,7 @@ def channel_units(run: Run) -> dict[str, str]:
 
 
 def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
-    """Return the channel that phase plane and spectrum show, the factor to its drawn unit, that unit, its symbol."""
+    """Return the first channel of `SHOWN` that was measured, the factor to its drawn unit, that unit, its symbol."""
     channel, index = next(one for one in SHOWN if one[0] in (rows.dtype.names or ()))
     factor, _, unit = drawings.MOTIONS[units[channel]]
     return channel, factor, unit, drawings.symbol(index, units[channel]) if index else f"the {channel}"

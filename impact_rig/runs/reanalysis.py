@@ -187,7 +187,7 @@ def remarks(run: Run) -> list[str]:
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
-    """Return all measurements in findings of the analysis, each as a table of one row."""
+    """Return the rows of `transmissibility/table` in findings, one per table; some have only a status."""
     return [table for found in findings for table in found.measurements]
 
 
@@ -197,7 +197,7 @@ def rows(tables: list[Table]) -> NDArray[np.void]:
 
 
 def newest_settled(tables: list[Table]) -> NDArray[np.void]:
-    """Return the last settled row at each gap and frequency, in ascending order, unknown gaps first; shape (n,)."""
+    """Return the last settled row at each gap and frequency, by gap (unknown first) and then frequency; shape (n,)."""
     found = rows(tables)
     settled: NDArray[np.void] = found[found["settled"] == 1.0]
     keys = zip(np.nan_to_num(settled["gap"], nan=-1.0).tolist(), settled["frequency"].tolist(), strict=True)

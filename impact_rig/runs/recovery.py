@@ -259,7 +259,7 @@ class _Blocks:
 
     @property
     def missing_s(self) -> float:
-        """Duration of the scans that are missing between the recovered blocks [s of rig time]."""
+        """Duration of the scans missing between the recovered blocks [s of rig time]; 0 if their rate is unknown."""
         return check_contiguity(self._found, self._rate_hz).lost_scans / self._rate_hz if self._rate_hz else 0.0
 
 
@@ -349,7 +349,7 @@ class RecoverReport:
 
     @property
     def complete(self) -> bool:
-        """Return whether nothing is known to be missing; without an index (an unfinished run), losses are unknown."""
+        """Return whether nothing is known to be missing; True also for an unfinished run without damage."""
         return self.damage_count == 0 and not self.missing_messages
 
     def file(self, path: Path) -> FileReport:
@@ -359,7 +359,7 @@ class RecoverReport:
         return found
 
     def note(self, damage: Damage) -> None:
-        """Add a damaged part to the counts of the report and its file, and to the list."""
+        """Add a damaged part to the counts of the report and its file, and to the list, which holds the first 1000."""
         self.damage_count += 1
         for file in self.files:
             if file.name == damage.file.removesuffix(TAIL_SUFFIX):
@@ -614,7 +614,10 @@ class _Salvage:
         return True
 
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of all intact chunks in file order, then those of the open chunk from the tail."""
+        """Yield the messages of all intact chunks in file order, then those of the open chunk from the tail.
+
+        Messages outside chunks are among them only if unchecked ones are accepted.
+        """
         last = -1  # offset of the last intact chunk
         newest: set[_Key] = set()  # messages in the last intact chunk
         has_tail = os.path.lexists(tail_of(self.path))
@@ -662,7 +665,7 @@ class _Salvage:
             self._report.note(Damage(tail.name, 0, 0, str(error)))
 
     def _chunk_from(self, follows: int) -> int:
-        """Return the offset of the chunk that was open at the file size `follows`; an attachment may precede it."""
+        """Return the offset of the first chunk from byte `follows` on, which was open; `follows` if there is none."""
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if found.offset >= follows and os.pread(file.fd, 1, found.offset) == bytes([records.CHUNK]):

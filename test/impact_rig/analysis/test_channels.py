@@ -22,7 +22,7 @@ from kits.records import info_rows
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import ACCELEROMETER, BASE, CURRENT, LASER, status_of
 from impact_rig.analysis.tracker import Tracker
-from impact_rig.blocks import Column, Table, row_type
+from impact_rig.blocks import APPLIED, Column, Table, row_type
 from impact_rig.errors import ConfigError
 
 
@@ -52,3 +52,9 @@ def test_a_scan_that_lacks_a_calibrated_channel_is_rejected_with_its_name():
     tracker.configure(Table(0, info_rows()[[ACCELEROMETER, LASER, BASE, CURRENT]]))
     with pytest.raises(ConfigError, match="lacks the column accelerometer, laser, status"):
         tracker.feed(Table(0, rows))
+
+
+def test_text_in_a_column_of_numbers_is_refused_and_names_it():
+    rows = np.zeros(1, [(name, "S4" if name == "frequency" else APPLIED[name]) for name in APPLIED.names])
+    with pytest.raises(ConfigError, match=r"^shaker/applied has text instead of numbers in the column frequency$"):
+        Tracker().on_applied(Table(0, rows))
