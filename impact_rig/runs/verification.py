@@ -377,7 +377,7 @@ def _difference(logged: Table, again: Table) -> str:
         if len(unequal):
             i = int(unequal[0])
             differs = f"logged {quoted(theirs[i])}, re-simulated {quoted(ours[i])}"
-            return f" at {_s(logged.stamp_ns)} s, sample {i}, {name}: {differs}"
+            return f" in the table at {_s(logged.stamp_ns)} s, row {i} (from 0), {name}: {differs}"
     return ""
 
 
@@ -465,7 +465,9 @@ class _Recorded:
         if content is None:
             self._differs(f"at {_s(stamp)} s: a message is recorded, and this journal does not lead to it")
         elif difference:
-            self._differs(difference if difference.startswith((" at", ":")) else f" at {_s(stamp)} s: {difference}")
+            self._differs(
+                difference if difference.startswith((" at", " in", ":")) else f" at {_s(stamp)} s: {difference}"
+            )
         else:
             self.count += 1
         self._last_ns = stamp

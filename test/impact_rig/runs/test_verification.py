@@ -70,7 +70,7 @@ def test_a_run_of_a_late_recorder_can_be_verified(complete_run: Messages, tmp_pa
 
 
 def test_one_changed_bit_is_named(complete_run: Messages, tmp_path: Path) -> None:
-    """The message names topic, stamp, sample and both values."""
+    """The message names topic, stamp of the table, row and both values."""
     number = iter(range(10**6))
 
     def change(rows: np.ndarray) -> np.ndarray:
@@ -82,8 +82,8 @@ def test_one_changed_bit_is_named(complete_run: Messages, tmp_path: Path) -> Non
     assert (found.identical, found.scans) == (False, 12_300)
     true = next(table for name, table in complete_run if name == "daq/scan" and table.stamp_ns == 123 * TICK)
     assert found.reason == (
-        f"daq/scan at 1.230000000 s, sample 45, laser: logged {float(np.nextafter(true.rows['laser'][45], 1.0))!r}, "
-        f"re-simulated {float(true.rows['laser'][45])!r}"
+        "daq/scan in the table at 1.230000000 s, row 45 (from 0), laser: logged "
+        f"{float(np.nextafter(true.rows['laser'][45], 1.0))!r}, re-simulated {float(true.rows['laser'][45])!r}"
     )
 
 
@@ -101,7 +101,7 @@ def test_a_changed_command_or_seed_is_found_where_it_takes_effect(complete_run: 
 
     found = verdict(tmp_path / "seed", edited(complete_run, "rig/journal", seed))
     assert (found.identical, found.scans) == (False, 0)
-    assert "daq/scan at 0.000000000 s, sample 0" in found.reason
+    assert "daq/scan in the table at 0.000000000 s, row 0 (from 0)" in found.reason
 
 
 def test_a_lost_block_is_a_difference(complete_run: Messages, tmp_path: Path) -> None:
