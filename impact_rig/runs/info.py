@@ -313,9 +313,11 @@ def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]
 def _left_out(recovered: Recovered | None) -> list[str]:
     if recovered is None or not recovered.incomplete:
         return []
-    missing = recovered.missing_messages
-    count = "an unknown number of messages" if missing is None else f"{missing} messages that its index counts"
-    return [f"{recovered.damages} damaged parts ({recovered.lost_bytes} bytes) could not be recovered, with {count}"]
+    parts = f"{recovered.lost_bytes} bytes, damaged parts: {recovered.damages}"
+    if recovered.missing_messages == 0:
+        return [f"something other than the messages in its index could not be recovered ({parts})"]
+    count = "an unknown number of" if recovered.missing_messages is None else recovered.missing_messages
+    return [f"{count} messages could not be recovered ({parts})"]
 
 
 @attrs.define

@@ -94,7 +94,7 @@ def test_a_changed_command_or_seed_is_found_where_it_takes_effect(complete_run: 
     found = verdict(tmp_path / "command", edited(complete_run, "rig/journal", command))
     assert found.identical is False
     assert found.scans < 2_000
-    assert "daq/scan at 0." in found.reason
+    assert "daq/scan in the table at 0." in found.reason
 
     def seed(entry: JournalEntry) -> JournalEntry:
         return attrs.evolve(entry, values=entry.values | {"daq.seed": 6}) if "daq.seed" in entry.values else entry
@@ -234,7 +234,7 @@ def test_a_difference_after_a_reset_is_found(tmp_path: Path) -> None:
 
     found = verdict(tmp_path / "changed", [*first, *edited(second, "daq/scan", change), *third])
     assert (found.identical, found.scans) == (False, 30 * 100)
-    assert "daq/scan at 0.3" in found.reason
+    assert "daq/scan in the table at 0.3" in found.reason
 
 
 def test_a_block_lost_before_a_reset_is_reported_as_missing(tmp_path: Path) -> None:
