@@ -19,6 +19,7 @@
 #include "rig.h"
 #include "snapshot.h"
 #include <math.h>
+#include <stdarg.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -49,8 +50,13 @@ typedef struct {
     void *environment;
 } unit;
 
-static int tell(const unit *u, int status, const char *message)
+__attribute__((format(printf, 3, 4))) static int tell(const unit *u, int status, const char *format, ...)
 {
+    char message[256];
+    va_list given;
+    va_start(given, format);
+    vsnprintf(message, sizeof message, format, given);
+    va_end(given);
     if (u->log_3) u->log_3(u->environment, status, "logStatusError", message);
     if (u->callbacks && u->callbacks->log) u->callbacks->log(u->callbacks->environment, u->name, status, "logStatusError", message);
     return status;
@@ -97,7 +103,7 @@ static int get(const unit *u, const unsigned *reference, size_t count, double *t
         else if (r >= MOTION && r < MOTION + IR_RIG_QUANTITIES) to[i] = u->now.motion[r - MOTION];
         else if (r == IMPACTS) to[i] = (double)ir_rig_impacts(u->rig);
         else if (r >= READINGS && r < READINGS + ir_rig_channels(u->rig)) to[i] = u->now.reading[r - READINGS];
-        else return tell(u, ERROR, "no such variable");
+        else return tell(u, ERROR, "no variable has the value reference %u", r);
     }
     return OK;
 }
@@ -110,10 +116,10 @@ static int set(unit *u, const unsigned *reference, size_t count, const double *f
         else if (reference[i] == CURRENT) u->now.current = from[i];
         else if (reference[i] == GAP) {
             if (from[i] == u->now.gap) continue;
-            if (ir_rig_set_gap(u->rig, from[i])) return tell(u, ERROR, "gap out of range");
+            if (ir_rig_set_gap(u->rig, from[i])) return tell(u, ERROR, SNAPSHOT_GAPS ", got %g m", from[i]);
             u->now.gap = from[i];
             if (ir_rig_time_ns(u->rig) == 0) ir_rig_latest(u->rig, u->now.motion);
-        } else return tell(u, ERROR, "not a variable that can be set");
+        } else return tell(u, ERROR, "the variable with the value reference %u is no input and no parameter", reference[i]);
     }
     return OK;
 }
@@ -126,7 +132,7 @@ static void keep_scan(unit *u, int64_t scans)
 
 static int unsolved(const unit *u, int64_t error)
 {
-    return tell(u, ERROR, error == IR_RIG_NO_ROOM ? "too many contacts or steps" : "the motion cannot be resolved");
+    return tell(u, ERROR, "the motion cannot be simulated: %s", error == IR_RIG_NO_ROOM ? "too many contacts and steps" : "a step of a contact has no solution, or makes no progress");
 }
 
 static int step(unit *u, double from, double length)
@@ -135,16 +141,17 @@ static int step(unit *u, double from, double length)
     int64_t scans = 0;
     if (SNAPSHOT_DRIVE != SINE) {
         int64_t until = (int64_t)floor((from + length) * 1e9 + SAME_NS);
-        if (until <= ir_rig_time_ns(u->rig)) return tell(u, DISCARD, "a step must last a nanosecond");
+        if (until <= ir_rig_time_ns(u->rig)) return tell(u, DISCARD, "a step must last at least 1 ns, got %g s", length);
         scans = ir_rig_feed(u->rig, until, SNAPSHOT_DRIVE == FIRST_ORDER ? u->now.previous : u->now.current, u->now.current);
-        if (scans == IR_RIG_REFUSED) return tell(u, ERROR, "current out of range");
+        if (scans == IR_RIG_REFUSED) return tell(u, ERROR, SNAPSHOT_INPUTS ", got %g to %g", SNAPSHOT_DRIVE == FIRST_ORDER ? u->now.previous : u->now.current, u->now.current);
         if (scans < 0) return unsolved(u, scans);
         u->now.previous = u->now.current;
         keep_scan(u, scans);
     } else {
         int64_t ticks = (int64_t)whole - ir_rig_tick(u->rig);
-        if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end on the grid of 10 ms");
-        if (ir_rig_command(u->rig, u->now.frequency, u->now.current)) return tell(u, ERROR, "frequency or current out of range");
+        if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end at a later multiple of 10 ms, got %.9g s", from + length);
+        if (ir_rig_command(u->rig, u->now.frequency, u->now.current)) 
+            return tell(u, ERROR, SNAPSHOT_INPUTS ", got %g Hz and %g", u->now.frequency, u->now.current);
         for (int64_t part; ticks > 0; ticks -= part) {
             part = ticks < IR_RIG_TICKS ? ticks : IR_RIG_TICKS;
             if ((scans = ir_rig_advance(u->rig, part)) < 0) return unsolved(u, scans);
@@ -190,7 +197,7 @@ static size_t size_of(const void *state) { return ((const values *)state)->size;
 
 static int serialise(const unit *u, const void *state, char *to, size_t size)
 {
-    if (size < size_of(state)) return tell(u, ERROR, "too little room for the state");
+    if (size < size_of(state)) return tell(u, ERROR, "the state needs %zu bytes, got room for %zu", size_of(state), size);
     memcpy(to, state, size_of(state));
     return OK;
 }
@@ -224,7 +231,7 @@ void fmi3FreeInstance(unit *u) { free_unit(u); }
 int fmi3SetDebugLogging(unit *u, bool on, size_t count, const char *const *categories) { return (void)u, (void)on, (void)count, (void)categories, OK; }
 int fmi3EnterInitializationMode(unit *u, bool has, double tolerance, double start, bool ends, double stop)
 {
-    return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0");
+    return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0 s, got %g s", start);
 }
 int fmi3ExitInitializationMode(unit *u) { return begin(u); }
 int fmi3Terminate(unit *u) { return (void)u, OK; }
@@ -269,7 +276,7 @@ void fmi2FreeInstance(unit *u) { free_unit(u); }
 int fmi2SetDebugLogging(unit *u, int on, size_t count, const char *const *categories) { return (void)u, (void)on, (void)count, (void)categories, OK; }
 int fmi2SetupExperiment(unit *u, int has, double tolerance, double start, int ends, double stop)
 {
-    return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0");
+    return (void)has, (void)tolerance, (void)ends, (void)stop, start == 0.0 ? OK : tell(u, ERROR, "the time must start at 0 s, got %g s", start);
 }
 int fmi2EnterInitializationMode(unit *u) { return (void)u, OK; }
 int fmi2ExitInitializationMode(unit *u) { return begin(u); }

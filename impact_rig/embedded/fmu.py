@@ -32,6 +32,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.kernels.build import FOLDER, OBJECT, compiler
 from impact_rig.physics.sampling import QUANTITIES
 from impact_rig.rig.config import RigConfig
+from impact_rig.rig.interlock import amplitude_limit
 from impact_rig.system.files import atomic_write
 
 HERE = Path(__file__).parent
@@ -69,6 +70,10 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
         OSError: the file cannot be written.
     """
     data = snapshot(config)
+    row = np.frombuffer(data[: SETUP.itemsize], SETUP)[0]
+    is_sine, high = _drive(config) == "sine", row["highest_amplitude"]
+    frequency = f"frequency must be >= {row['lowest_hz']:g} and <= {row['highest_hz']:g} Hz, " if is_sine else ""
+    least, unit = 0.0 if is_sine else -high, amplitude_limit(config.drive, config.shaker)[1]
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'{version} {_drive(config)} {data.hex()}')}}}"
     if not (kernels / OBJECT).exists():
         raise ImpactRigError(f"{kernels / OBJECT} is missing: run `python -m impact_rig.kernels.build {kernels}`")
@@ -78,12 +83,14 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
         (work / "snapshot.h").write_text(
             f'#define SNAPSHOT_TOKEN "{token}"\n#define SNAPSHOT_FREQUENCY {config.drive.frequency_hz!r}\n'
             f"#define SNAPSHOT_DRIVE {DRIVES.index(_drive(config))}\n"
+            f'#define SNAPSHOT_INPUTS "{frequency}current must be >= {least:.4g} and <= {high:.4g} {unit}"\n'
+            f'#define SNAPSHOT_GAPS "gap must be >= {row["shortest_gap_m"]:g} and <= {row["longest_gap_m"]:g} m"\n'
             f"static const unsigned char snapshot[] = {{{numbers}}};\n"
         )
         machine = _compile(work, kernels)
-        with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as unit:
-            unit.writestr("modelDescription.xml", _description(config, data, version, token))
-            unit.write(work / f"{MODEL}.so", f"binaries/{PLATFORMS[version][machine]}/{MODEL}.so")
+        with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as fmu:
+            fmu.writestr("modelDescription.xml", _description(config, row, version, token))
+            fmu.write(work / f"{MODEL}.so", f"binaries/{PLATFORMS[version][machine]}/{MODEL}.so")
 
 
 def _drive(config: RigConfig) -> str:
@@ -112,9 +119,11 @@ def _compile(work: Path, kernels: Path) -> str:
     return machine if machine in PLATFORMS["3.0"] else platform.machine()
 
 
-def _description(config: RigConfig, data: bytes, version: str, token: str) -> str:
-    """Return the content of an FMU's modelDescription.xml: its variables, their start values and its capabilities."""
-    row = np.frombuffer(data[: SETUP.itemsize], SETUP)[0]
+def _description(config: RigConfig, row: np.void, version: str, token: str) -> str:
+    """Return the content of an FMU's modelDescription.xml: its variables, their start values and its capabilities.
+
+    `row` is the first part of the rig's snapshot.
+    """
     names = [name.decode() for name in row["name"][: row["channels"]]]
     kind = config.drive.kind
     sine = [

@@ -27,8 +27,8 @@ ir_rig *ir_rig_new(const void *snapshot, size_t bytes); /* 0: not a snapshot of 
 void ir_rig_free(ir_rig *rig);
 void ir_rig_reset(ir_rig *rig); /* at rest, as when it was new; the gap stays */
 
-/* Commands act from the next tick of 10 ms on; REFUSED outside of the rig's limits. What does not change
- * is no command. A new gap puts the sphere at its start. */
+/* Commands act from the next tick of 10 ms on; a value out of the rig's limits gives REFUSED and changes nothing. An
+ * unchanged frequency or amplitude is no command. A new gap puts the sphere at its start. */
 int ir_rig_command(ir_rig *rig, double frequency_hz, double amplitude);
 int ir_rig_set_gap(ir_rig *rig, double gap_m);
 
@@ -41,9 +41,10 @@ int64_t ir_rig_feed(ir_rig *rig, int64_t until_ns, double from, double to);
 const double *ir_rig_scans(const ir_rig *rig);
 int64_t ir_rig_channels(const ir_rig *rig);
 const char *ir_rig_channel_name(const ir_rig *rig, int64_t channel);
-/* The motion of the last call, `tick` from 0 on, or what stands before the first: x_b x_1 x_2 v_b v_1 v_2 a_b a_1 a_2 current force_left force_right [SI]. */
+/* The motion at `offset_s` in a tick of the last call, `tick` counted from 0 in that call: x_b x_1 x_2 v_b v_1 v_2 a_b a_1 a_2 current
+ * force_left force_right [SI]. Before the first call, tick 0 gives the state at rest. Other ticks give REFUSED. */
 int ir_rig_sample(ir_rig *rig, int64_t tick, double offset_s, double out[IR_RIG_QUANTITIES]);
-int ir_rig_latest(ir_rig *rig, double out[IR_RIG_QUANTITIES]); /* at its end */
+int ir_rig_latest(ir_rig *rig, double out[IR_RIG_QUANTITIES]); /* at the end of the last call */
 
 /* Contact `number` that ended in the last call: tick, offset [s], wall, approach and separation [m/s], peak force [N]; 0: no such. */
 int ir_rig_contact(const ir_rig *rig, int64_t number, double out[6]);

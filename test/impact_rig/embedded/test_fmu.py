@@ -364,6 +364,41 @@ def test_values_out_of_range_are_rejected(unit: Unit, reference: int, value: flo
         unit.step(0.0, 0.01)
 
 
+def test_the_log_names_the_value_and_the_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for config, cases in (
+        (
+            RigConfig(),
+            (
+                (1, 1e6, 0.01, "frequency must be >= 5 and <= 200 Hz, current must be >= 0 and <= 21.21 A"),
+                (1, 1e6, 0.01, ", got 1e+06 Hz and 0"),
+                (3, 9.0, 0.01, "gap must be >= 1e-06 and <= 1 m, got 9 m"),
+                (30, 1.0, 0.01, "the variable with the value reference 30 is no input and no parameter"),
+                (1, 9.1, 0.004, "a step must end at a later multiple of 10 ms, got 0.004 s"),
+            ),
+        ),
+        (
+            of_samples(1000, "first_order"),
+            (
+                (2, 1e3, 0.001, "] current must be >= -21.21 and <= 21.21 A"),
+                (2, 1e3, 0.001, ", got 0 to 1000"),
+                (2, 0.1, 0.0, "a step must last at least 1 ns, got 0 s"),
+            ),
+        ),
+    ):
+        write_fmu(config, tmp_path / "rig.fmu")
+        description = fmpy.read_model_description(str(tmp_path / "rig.fmu"))
+        folder = fmpy.extract(str(tmp_path / "rig.fmu"), str(tmp_path / config.drive.waveform))
+        for reference, value, length, said in cases:
+            fmu = fmpy.instantiate_fmu(folder, description, "CoSimulation", debug_logging=True)
+            fmu.enterInitializationMode()
+            fmu.exitInitializationMode()
+            with pytest.raises(Exception, match="fmi3"):  # noqa: PT012  # inputs are judged together, by the step
+                fmu.setFloat64([reference], [value])
+                fmu.doStep(0.0, length)
+            assert said in capsys.readouterr().out
+            fmu.freeInstance()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
