@@ -79,7 +79,8 @@ class Trip:
 class Interlock:
     """Monitor of simulated ticks that trips if the travel of the base or its coil current exceeds the shaker's limits.
 
-    A prescribed base motion has no shaker and never trips.
+    The travel trips at once. The current trips if its rms, averaged exponentially with a time constant of 1 s, exceeds
+    the limit by 5 %. A prescribed base motion has no shaker and never trips.
     """
 
     def __init__(self) -> None:

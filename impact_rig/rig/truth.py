@@ -123,7 +123,12 @@ class Truth:
         self._ends: list[float] = []  # their ends since scan 0, in order: a sphere has one contact at a time
 
     def configure(self, monitor_hz: float, every_scan: bool) -> None:
-        """Change of which scans the true states are kept, from the next tick on; arguments as for the class."""
+        """Choose the scans whose true states are kept, from the next tick on.
+
+        Args:
+            monitor_hz: wanted rate of the monitor; every k-th scan is kept, with the least k that does not exceed it.
+            every_scan: whether to keep the truth of every scan instead.
+        """
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
