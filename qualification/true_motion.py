@@ -78,13 +78,17 @@ class TrueHardware(Hardware):
         }  # fmt: skip
         self.watched = _WatchedRig(settings | {name.replace("__", "."): value for name, value in values.items()})
         super().__init__(self.watched)
+        self._ends = 0  # scan at which the latest trial ended
 
     def respond(self, samples: Real, rest: int = 0) -> NDArray[np.void]:  # type: ignore[override]  # of arrays only
         """Play samples, as `Hardware.respond` does."""
         rows = super().respond(samples, rest)
         end = self.acquisition.next_scan
         assert end is not None
-        self.truth = np.concatenate(self.watched.truth)[end - len(rows) : end]
+        newer = np.concatenate(self.watched.truth)  # than the trial before
+        before, self._ends = self._ends, end
+        self.truth = newer[end - len(rows) - before : end - before]
+        self.watched.truth = [newer[end - before :]]
         return rows
 
 

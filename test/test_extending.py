@@ -43,7 +43,6 @@ OF_PAGES = (
     "test/test_generated.py",
     "test/test_layers.py",
     "test/test_licence.py",
-    "test/test_names.py",
     "test/test_public_names.py",
 )
 """Tests that compare pages, figures and all sources with the code, which an addition may break."""

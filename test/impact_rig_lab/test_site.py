@@ -35,6 +35,7 @@ sys.path.insert(0, str(ROOT))  # the tool is no part of the package
 for needed in ("ziglang", "llvmlite", "aiohttp", "uplot"):
     pytest.importorskip(needed)
 from kits.browser import serious_faults  # noqa: E402
+from kits.shared import shared  # noqa: E402
 
 from tools import browser_page  # noqa: E402
 
@@ -47,7 +48,7 @@ SECONDS = 10
 
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return browser_page.build(tmp_path_factory.mktemp("site") / "rig")
+    return shared(tmp_path_factory, "rig_page", browser_page.build) / "index.html"
 
 
 def readings(gap_m: float, frequency_hz: float) -> str:

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -35,9 +36,9 @@ HOSTILE_NAMES = (
 FREQUENCIES_HZ = (9.0, 9.1, 10.5)
 
 
-def hostile_campaign(directory: Path, title: str = HOSTILE_NAMES[0]) -> Path:
+def hostile_campaign(directory: Path, title: str = HOSTILE_NAMES[0], studies: Iterable[str] = HOSTILE_NAMES) -> Path:
     """Make the directory of a campaign whose title and studies have hostile names, with unmeasured points."""
-    names = [name for name in HOSTILE_NAMES if "\0" not in name and len(name) < 1000]  # keys that YAML takes
+    names = [name for name in studies if "\0" not in name and len(name) < 1000]  # keys that YAML takes
     study = {"frequencies_hz": list(FREQUENCIES_HZ), "gaps_m": ["none", 0.006], "seeds": [7]}
     text = json.dumps({
         "title": title,

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from kits.shared import shared
 
 
 @pytest.fixture(scope="session")
@@ -31,4 +32,4 @@ def mkdocs() -> ModuleType:
 def site(mkdocs: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from tools.website.__main__ import build
 
-    return build(tmp_path_factory.mktemp("website") / "site")
+    return shared(tmp_path_factory, "website", build)

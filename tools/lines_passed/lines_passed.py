@@ -35,13 +35,18 @@ def note(data: str) -> None:
     passed, ours = Slipcover(), FileMatcher(PACKAGES)
     ImportManager(passed, ours).__enter__()
     wrap_pytest(passed, ours)  # it imports by itself what comes with one of its plugins: the complete package
+    passed._filter_excluded_lines = lambda _files: None  # type: ignore[method-assign]  # it parses all files again
+    os.register_at_fork(after_in_child=passed.signal_child_process)  # a child stores what its parent has not passed
+    first = os.getpid()
 
     def keep() -> None:
         os.chdir(ROOT)  # SlipCover names files relative to the working directory
-        # including files that no program imports
-        lines: dict[str, list[int]] = {str(file): [] for package in PACKAGES for file in package.rglob("*.py")}
-        for file, found in passed.get_coverage()["files"].items():
-            lines[str(Path(file).absolute())] = found["executed_lines"]
+        found = passed.get_coverage()["files"]
+        lines = {str(Path(file).absolute()): one["executed_lines"] for file, one in found.items()}
+        if os.getpid() == first:  # including files that no program imports
+            lines = {str(file): [] for package in PACKAGES for file in package.rglob("*.py")} | lines
+        else:
+            lines = {file: passed_here for file, passed_here in lines.items() if passed_here}
         kept = CoverageData(basename=data, suffix=True)
         kept.add_lines(lines)
         kept.write()

@@ -169,6 +169,7 @@ def test_lost_scans_are_counted_when_the_tables_around_them_are_no_longer_kept()
     assert rig.lost_scans == 0
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("what", ["nothing", "commands", "changes", "faults"])
 def test_the_memory_of_a_long_test_is_bounded(what: str) -> None:
     """Compare the memory after 600 and 1,200 blocks, with changes in every block."""

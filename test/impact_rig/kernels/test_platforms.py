@@ -22,6 +22,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from kits.shared import shared
 
 from impact_rig.kernels import build
 
@@ -44,12 +45,18 @@ def translated() -> Path:
     return build.translated(ROOT / "build" / "kernels")
 
 
-@pytest.mark.parametrize("part", build.PARTS)
-def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part: str) -> None:
-    """The name of an x86-64 CPU must not reach LLVM here: it would ignore it and emit calls of `__muldf3`."""
-    from impact_rig.kernels.emit import emit  # needs LLVM
+@pytest.fixture(scope="module")
+def assembly(translated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the kernels as assembly, as a source distribution contains it."""
+    folder = tmp_path_factory.mktemp("kernels") / "assembly"
+    build.write_assembly(translated, folder)
+    return folder
 
-    text = emit(translated / f"{part}.bc", "aarch64")[1]
+
+@pytest.mark.parametrize("part", build.PARTS)
+def test_aarch64_neither_contracts_nor_calls_soft_floats(assembly: Path, part: str) -> None:
+    """The name of an x86-64 CPU must not reach LLVM here: it would ignore it and emit calls of `__muldf3`."""
+    text = (assembly / f"aarch64-{part}.s").read_text(encoding="utf-8")
     assert len(re.findall(r"\tfmul\t", text)) > 500
     assert not re.findall(r"\t(fn?m(?:add|sub)|fml[as])\b", text)
     called = set(re.findall(r"\tbl?\t(\w+)$", text, re.MULTILINE))
@@ -59,11 +66,10 @@ def test_aarch64_neither_contracts_nor_calls_soft_floats(translated: Path, part:
 
 
 def test_assembly_builds_the_library_without_numba(
-    translated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    translated: Path, assembly: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Assembly from a source distribution becomes a library that knows all kernels."""
-    build.write_assembly(translated, tmp_path / "assembly")
-    monkeypatch.setattr(build, "ASSEMBLY", tmp_path / "assembly")
+    monkeypatch.setattr(build, "ASSEMBLY", assembly)
     monkeypatch.setattr(build, "translated", None)
     build.build(tmp_path / "made")
     load = "s = importlib.util.spec_from_file_location('_library', sys.argv[1]); m = importlib.util.module_from_spec(s)"
@@ -95,16 +101,18 @@ def test_an_impossible_build_names_the_remedy(tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.glob("*.so")) == []
 
 
-def test_webassembly_yields_the_committed_bits(translated: Path, tmp_path: Path) -> None:
-    """Short runs, with their kernels in wasmtime; `make portability` compares all runs."""
-    pytest.importorskip("wasmtime", reason="pip install wasmtime")
-    pytest.importorskip("ziglang", reason="pip install ziglang")
-    from impact_rig.embedded.wasm import build_wasm  # needs LLVM
+def test_webassembly_yields_the_committed_bits(
+    translated: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Short runs, with their kernels in wasmtime, as in a page; `make portability` compares all runs."""
+    for needed in ("wasmtime", "ziglang", "aiohttp", "uplot"):
+        pytest.importorskip(needed)
+    from tools import browser_page  # needs LLVM
 
-    build_wasm(tmp_path / "rig.wasm", translated)
+    module = shared(tmp_path_factory, "rig_page", browser_page.build) / "served" / "rig.wasm"
     found = tmp_path / "digests.txt"
     command = [sys.executable, "-m", "qualification.portability.wasm"]
-    command += [str(tmp_path / "rig.wasm"), str(translated / build.STAMP), str(found), "short"]
+    command += [str(module), str(translated / build.STAMP), str(found), "short"]
     subprocess.run(command, cwd=ROOT, env={**os.environ, "IMPACT_RIG_KERNELS": "library"}, check=True)
     assert {run for run, _ in digests.read(found)} == {run.name for run in known(SHORT)}
     assert digests.different(digests.read(), digests.read(found)) == {}

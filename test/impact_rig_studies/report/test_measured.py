@@ -33,12 +33,12 @@ def text_of(page):
 
 
 def test_the_report_of_an_imported_campaign_omits_paper_and_nominal_rig(tmp_path):
-    directory = hostile_campaign(tmp_path / "campaign", "My rig, May 2026")
+    directory = hostile_campaign(tmp_path / "campaign", "My rig, May 2026", ["one"])
     info = run.open_finished(directory).info.copy()
     info["rate"] = 2048.0
     info["bandwidth"][info["name"] == b"base"] = 0.0  # of daq/info: not known
     (directory / run.CALIBRATION_FILE).write_text(json.dumps([_plain(row) for row in info]))
-    assert main(["report", str(directory)]) == 0
+    assert main(["report", str(directory), "--format", "svg"]) == 0
     text = text_of(directory / "report.html")
     assert text.startswith("My rig, May 2026")
     for words in ("2048 scans/s", "Amplitude of the base 200 µm", "Amplitude of the structure 1 mm", "k = 2"):
@@ -58,7 +58,7 @@ def test_the_report_of_an_imported_campaign_omits_paper_and_nominal_rig(tmp_path
         "fit",
     ):
         assert foreign not in text, foreign
-    figures = {path.stem for path in (directory / "figures").glob("*.png")}
+    figures = {path.stem for path in (directory / "figures").glob("*.svg")}
     assert figures == {"transmissibility"}
     assert main(["report", str(directory), "--margins", str(directory)]) == 1
 

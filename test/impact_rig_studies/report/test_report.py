@@ -111,7 +111,7 @@ def stored(folder, campaign, found):
 def reported(short, tmp_path_factory):
     """The campaign, and its page."""
     folder = stored(tmp_path_factory.mktemp("reported") / "out", *short)
-    assert main(["report", str(folder)]) == 0
+    assert main(["report", str(folder), "--format", "svg", "png"]) == 0
     return folder
 
 
@@ -128,7 +128,7 @@ def compared(short, tmp_path_factory):
     continued = ["dynamics", "continue", str(folder / "branches.yaml"), "--workers", "1"]
     assert main([*continued, "--output", str(folder / "branches")]) == 0
     extras = ["--margins", str(folder / "margins"), "--branches", str(folder / "branches")]
-    assert main(["report", str(out), "--output", str(folder), *extras]) == 0
+    assert main(["report", str(out), "--output", str(folder), "--format", "svg", *extras]) == 0
     return folder
 
 
