@@ -146,6 +146,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
     cpu(machine)
     with tempfile.TemporaryDirectory(prefix="impact_rig_kernels_") as name:
         work = Path(name)
+        _compile(["-c", str(FOLDER / "kernels.c"), "-o", str(work / "kernels.o")])  # before a minute of translation
         has_assembly = machine in RELEASED and _is_of_these_sources(ASSEMBLY)
         found = ASSEMBLY if has_assembly else translated(keep or work)
         objects = [str(work / f"{part}.o") for part in PARTS]
@@ -156,7 +157,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
                 Path(path).write_bytes(_emit(found / f"{part}.bc", machine)[0])
         write_tables(found, work)
         together = str(work / OBJECT)
-        _compile(["-r", "-nostdlib", str(FOLDER / "kernels.c"), str(work / "tables.c"), *objects, "-o", together])
+        _compile(["-r", "-nostdlib", str(work / "kernels.o"), str(work / "tables.c"), *objects, "-o", together])
         _compile(["-shared", str(FOLDER / "library.c"), together, "-o", str(work / OUTPUT), "-lm"])
         if machine == platform.machine():
             _check_loads(work / OUTPUT)

@@ -36,7 +36,7 @@ from impact_rig.runs.verification import verify
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
-pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.usefixtures("measured_programs")]
+pytestmark = [pytest.mark.ros, pytest.mark.pipeline]
 TICK = 10_000_000
 RIG = {"barriers.gap_m": 0.002, "time.peers": ("analysis", "recorder")}
 
@@ -61,6 +61,7 @@ def start_all(processes: Processes, client: Client, tmp_path: Path, **rig: objec
     client.wait_until(lambda: client.status("recorder").message == "recording", "the recorder")
 
 
+@pytest.mark.usefixtures("measured_programs")  # of one start, clock and end
 def test_a_run_in_lockstep_is_complete_and_agrees_with_its_journal(
     processes: Processes, client: Client, tmp_path: Path
 ) -> None:
