@@ -173,3 +173,10 @@ def test_the_changed_files_are_those_that_git_reports(tmp_path: Path, monkeypatc
     git("commit", "-a", "-m", "second")
     assert reach.changed("HEAD") == ["new"]
     assert set(reach.changed("HEAD~")) == {"edited", "removed", "new", "moved", "elsewhere"}
+
+
+def test_files_that_begin_first_exist(request: pytest.FixtureRequest) -> None:
+    """A file with a new name would begin last, and a worker would be alone with it at the end."""
+    plugins = request.config.pluginmanager.get_plugins()
+    (first,) = [one.LONGEST_FILES for one in plugins if hasattr(one, "LONGEST_FILES")]
+    assert set(first) - {path.stem for path in (reach.ROOT / "test").rglob("test_*.py")} == set()
