@@ -50,6 +50,8 @@ FILE = re.compile(r"\b(?!__|conftest)\w+\.py\b")
 PAGE = re.compile(r"\b\w+\.(?:md|ipynb)\b")
 CODE = re.compile(r"^```(?:python|pycon).*?^```|\A\{.*", re.MULTILINE | re.DOTALL)
 """Python code in a page, or a whole notebook."""
+REMEDY = re.compile(r"\brun `[^`]+`")
+"""Command in a message, which the user runs, not the file that contains it."""
 BY_NAME = re.compile(r"\b(?:import_module|lazily|iter_modules)\(")
 """Modules that load others by name may load every module of their package."""
 
@@ -130,7 +132,7 @@ class Reach:
                 names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
             elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in said:
                 strings.append(node.value)
-        text = self._strings[path] = "\n".join(strings)
+        text = self._strings[path] = REMEDY.sub("", "\n".join(strings))
         text += "".join(f"\n{self._pages.get(name, '')}" for name in set(PAGE.findall(text)))
         names |= set(MODULE.findall(text))
         names |= {f"impact_rig.{name}" for words in PUBLIC_NAMES.findall(text) for name in re.split(r"[,\s]+", words)}
