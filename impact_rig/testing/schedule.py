@@ -76,7 +76,7 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Callback that does not return: it waits for another callback of the same executor, or computes without end."""
+    """Callback that does not return: it waits while no other callback of its executor can run, or computes for 20 s."""
 
 
 @attrs.define(eq=False)
@@ -562,7 +562,9 @@ def _returning(message: str) -> Iterator[None]:
         before, used = used, time.thread_time()
         idle = idle + 1 if used - before < IDLE_CPU_S else 0
         if idle * TICK_S >= IDLE_S:
-            raise BlockedError(f"{message} waits for something that only another callback of this executor can give")
+            raise BlockedError(
+                f"{message} waits: {IDLE_S:g} s without computing, while no other callback of this executor can run"
+            )
         if time.monotonic() - begin > BUSY_S:
             raise BlockedError(f"{message} has not returned within {BUSY_S:g} s")
 
