@@ -339,6 +339,8 @@ def test_a_damaged_metadata_yaml_does_not_prevent_recovery(record, tmp_path):
     with pytest.raises(RecordingError, match=r"cannot parse .*metadata.yaml: .*recover does not need it"):
         open_run(writer.directory)
     assert recover(writer.directory, tmp_path / "out").messages == len(sent)
+    lost = "something other than the messages in its index could not be recovered (0 bytes, damaged parts: 1)"
+    assert lost in info(tmp_path / "out").verdict
 
 
 def test_files_of_a_split_run_are_recovered_in_order_without_metadata_yaml(record, tmp_path):
