@@ -87,10 +87,9 @@ def without_markers(values: Real) -> Real:
 
 
 def half_digit(cell: str) -> float:
-    """Return half of the last digit of a number in a cell, its largest possible rounding error: 0.005 for `1.25`.
+    """Return half of the last digit of a written number, its largest possible rounding error: 0.005 for `1.25`.
 
-    Raises:
-        ValueError: the cell has no number.
+    Whether the cell contains a number is not checked.
     """
     mantissa, _, exponent = cell.strip().lower().replace("d", "e").partition("e")
     decimals = len(mantissa) - 1 - max(mantissa.rfind("."), mantissa.rfind(",")) if re.search("[.,]", mantissa) else 0

@@ -414,6 +414,7 @@ def test_the_command_writes_determined_and_undetermined_constants(directory, cap
     zeta = found["constants"]["ζ"]
     assert abs(zeta["value"] - TRUTH.structure.damping_ratio) < LIMIT * zeta["standard_uncertainty"]
     assert not (directory / "identified.yaml").exists()
+    assert "no identified.yaml is written, because the data do not determine all constants" in output
     assert main(["identify", str(directory), "--without", "reductions", "sine", "decay"]) == 1
     assert "nothing to identify from" in capsys.readouterr().err
 

@@ -346,6 +346,16 @@ def test_a_missing_channel_is_reported_instead_of_the_next_command(
     assert "impact-rig analyze" not in said
 
 
+def test_each_missing_channel_is_named_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{k / 100},{np.sin(k)}" for k in range(50)]
+    (tmp_path / "own.csv").write_text("\n".join(["time [s],current [A]", *rows]))
+    assert main(["import", str(tmp_path / "own.csv"), "--output", str(tmp_path / "run"), "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"no DT: {name} is not assigned (--channel {name}=SIGNAL)" in said for name in ("base", "laser"))
+
+
 def test_a_run_stores_the_assumptions_and_the_omitted_columns(tmp_path: Path) -> None:
     (tmp_path / "own.csv").write_text(
         "time,base,laser\n" + "".join(f"{k / 125},{k % 14},{k % 14}\n" for k in range(200)) + "end\n", encoding="utf-8"

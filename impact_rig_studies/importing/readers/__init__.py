@@ -51,7 +51,8 @@ class Format:
     """File format that can be imported: its reader, and the library that the reader needs.
 
     `library` is the module to import, and `package` what to install for it; both are empty if the reader needs none.
-    `read` receives the path and the content of a file, and the module. `prepare` is called after the import.
+    `read` receives the path, the content of the file (of a bag its size in bytes), and the module. `prepare` is called
+    after the import.
     """
 
     name: str  # name for messages, such as `a WAV file`

@@ -280,7 +280,8 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the numbers of lines that are comments.
 
-    Lines count from 0. A column holds floats, integers if these are 2^53 or larger, or texts for words and times.
+    Lines count from 0. A column holds floats, or texts for words and times. The first one holds integers if one of
+    them is 2^53 or larger, such as a stamp.
 
     Raises:
         RecordingError: a row has another number of cells, or a cell of a column of numbers is no number; the message
