@@ -36,10 +36,8 @@ FILE_NAME = r"\w[\w .+=,@()-]{0,150}"
 FILE_NAME_MEANS = (
     "a file name of at most 151 characters: letters, digits, blanks and . + = , @ ( ) _ -, first a letter, a digit or _"
 )
-LONGEST_FILE_NAME = (
-    # maximum number of characters: with the suffix of a file, also of a temporary one, far below the limit of 255 bytes
-    100
-)
+LONGEST_FILE_NAME = 100
+"""Maximum number of characters: with the suffix of a file, also a temporary one, far below the limit of 255 bytes."""
 LONGEST_LINE = 2000  # maximum number of characters of a log line or an error
 LONGEST_QUOTE = 200  # maximum number of characters of a value quoted in an error
 RIG_OPTION = "--rig"  # option that selects one of several rigs of a recording

@@ -114,9 +114,8 @@ class Record:
             ValueError: matplotlib does not know the suffix.
         """
         times = self.scans["time"]
-        rows = (
-            self.scans[times > times[-1] - DRAWN_S] if len(times) else self.scans
-        )  # a fault may withhold some, or all
+        # a fault may withhold some scans, or all
+        rows = self.scans[times > times[-1] - DRAWN_S] if len(times) else self.scans
         begin = rows["time"][0] if len(rows) else math.inf
         figure = time_traces(rows, self.impact_times[self.impact_times >= begin])
         figure.axes[0].set_title(str(self), loc="left", fontsize=9.5, pad=11.0)

@@ -663,9 +663,7 @@ class Client:
             ImpactRigError: the rig did not pause or resume; the message says why.
             TimeoutError: the rig did not answer within 10 s.
         """
-        response = self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True)
-        if not response.success:
-            raise ServiceFailedError(f"rig/pause: {response.message}")
+        _succeeded("rig/pause", self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True))
 
     def trigger(self, name: str, timeout_s: float = DEFAULT_TIMEOUT_S, *, may_be_silent: bool = False) -> str:
         """Call a service of type Trigger, such as `rig/reset` or `recorder/start`; see `call`.
@@ -682,10 +680,7 @@ class Client:
             ImpactRigError: the service answered `success = False`; the message is the one of the service.
             TimeoutError: the service did not appear or did not answer in time.
         """
-        response = self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent)
-        if not response.success:
-            raise ServiceFailedError(f"{name}: {response.message}")
-        return str(response.message)
+        return _succeeded(name, self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent))
 
     def call(
         self,
@@ -1017,6 +1012,13 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
     profile = messages.profile(topics.Qos.DATA)
     profile.reliability = publisher.qos_profile.reliability
     return topics.Topic(topic, publisher.topic_type, topics.Qos.DATA, publisher.node_name, "", ()), profile
+
+
+def _succeeded(name: str, response: Any) -> str:
+    """Return the message of a service's response; raise it if the service has failed."""
+    if not response.success:
+        raise ServiceFailedError(f"{name}: {response.message}")
+    return str(response.message)
 
 
 def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> Callable[..., Any]:
