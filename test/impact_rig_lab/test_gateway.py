@@ -81,7 +81,7 @@ def test_a_stop_is_reported_as_done_whichever_of_two_rigs_answers_first(tmp_path
         client.wait_until(lambda: "rig_time_s" in client.figures("rig"), "the first rig", PATIENCE_S)
         two.start("rig")
         client.wait_until(
-            lambda: "until no other rig" in client.status("rig").message, "the second to wait", PATIENCE_S
+            lambda: "until the other rig has ended" in client.status("rig").message, "the second to wait", PATIENCE_S
         )
 
         async def stop() -> str:
