@@ -48,7 +48,7 @@ def load(path: Path, kind: type[P]) -> P:
         kind: class of the plan, such as `RandomPlan`, whose attributes are the keys of the file.
 
     Raises:
-        ConfigError: a key or value is wrong; the message names key, value and file.
+        ConfigError: the file cannot be read, or a key or value is wrong; the message names key, value and file.
     """
     return load_plan(path, "excitation", lambda document, _: read(document, kind))
 

@@ -121,7 +121,7 @@ class Reached:
         return float(np.sum(density) / np.sum(self.reached))
 
     def within(self, bound_db: float) -> float:
-        """Return the share of the frequency lines whose error `error_db` is within ±`bound_db`."""
+        """Return the share (0 to 1) of the frequency lines whose error `error_db` is at most ±`bound_db`."""
         return float(np.mean(np.abs(self.error_db) <= bound_db))
 
 
