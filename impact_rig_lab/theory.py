@@ -20,12 +20,10 @@ another relevant value has changed, and skips outdated requests.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple  # values of parameters and JSON
 
@@ -225,7 +223,8 @@ class Theory:
         self.branches: Sequence[Continued] = ()  # continued motions, which are drawn as well where they exist
         self._on_prediction = on_prediction
         self._newest: tuple[dict[str, Any], float] | None = None
-        self._worker = ThreadPoolExecutor(1, "lab-theory", lower_priority)
+        self._computing = threading.Lock()
+        self._closed = False
 
     def want(self, values: Mapping[str, Any], amplitude: float) -> None:
         """Request the prediction for some settings; if they are those of the previous request, nothing happens.
@@ -235,26 +234,29 @@ class Theory:
             amplitude: peak amplitude of its drive [A or m by `drive.kind`].
         """
         wish = {name: values[name] for name in DECIDING if name in values}, amplitude
-        if wish != self._newest:
+        if not self._closed and wish != self._newest:
             self._newest = wish
-            with contextlib.suppress(RuntimeError):  # closed
-                self._worker.submit(self._compute, wish)
+            threading.Thread(target=self._compute, args=(wish,), name="lab-theory", daemon=True).start()
 
     def close(self) -> None:
-        """End the computation: wait for a running prediction, and ignore later requests."""
-        self._worker.shutdown(cancel_futures=True)
+        """Drop all requests, also later ones, and wait for the end of a running prediction, which is not reported."""
+        self._closed, self._newest = True, None
+        with self._computing:
+            pass
 
     def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
-        """Compute the prediction for a request, and report it, unless there is a newer request."""
-        if wish is not self._newest:
-            return
-        try:
-            found = predicted(*wish)
-        except Exception as error:  # values of any origin: the next request may differ
-            found = {"lines": [], "words": f"No prediction: {error}"}
-        for one in self.branches:
-            if one.exists(*wish):
-                words = f"{found['words']} Also motions of the model: {one.title}."
-                found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
-        if wish is self._newest:
-            self._on_prediction(found)
+        """Compute the prediction for a request after any running one, and report it unless there is a newer request."""
+        lower_priority()
+        with self._computing:
+            if wish is not self._newest:
+                return
+            try:
+                found = predicted(*wish)
+            except Exception as error:  # values of any origin: the next request may differ
+                found = {"lines": [], "words": f"No prediction: {error}"}
+            for one in self.branches:
+                if one.exists(*wish):
+                    words = f"{found['words']} Also motions of the model: {one.title}."
+                    found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
+            if wish is self._newest:
+                self._on_prediction(found)
