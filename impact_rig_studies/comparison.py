@@ -47,7 +47,7 @@ from impact_rig.rig.config import RigConfig, from_flat, parse
 from impact_rig.rig.core import new_generator
 from impact_rig.rig.gaps import NO_SPHERE, gap_values
 from impact_rig.runs import drawings, reanalysis
-from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
+from impact_rig.runs.excerpts import Excerpt, calibration_rows, last_excerpt
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, stamp_ns
 from impact_rig.system import budget
 from impact_rig_studies.campaign.plan import RESET

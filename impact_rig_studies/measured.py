@@ -30,7 +30,7 @@ from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, load_config
 from impact_rig.rig.gaps import case_of
 from impact_rig.runs import reanalysis
-from impact_rig.runs.wholes import calibration_rows
+from impact_rig.runs.excerpts import calibration_rows
 from impact_rig.system import files
 from impact_rig_studies.campaign.job import Outcome
 from impact_rig_studies.campaign.plan import load_campaign

@@ -137,7 +137,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze --frf`: print and draw the frequency response x_1/x_b of a run; return exit code 0."""
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
-    from impact_rig.runs.wholes import response_of  # noqa: PLC0415  # as above
+    from impact_rig.runs.excerpts import response_of  # noqa: PLC0415  # as above
 
     for name, most in (("segment", math.inf), ("damping", 1.0)):
         value = getattr(arguments, name)
@@ -229,7 +229,7 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
-    from impact_rig.runs.wholes import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
+    from impact_rig.runs.excerpts import calibration_rows, last_excerpt, sines_of  # noqa: PLC0415  # as above
 
     prepare_figure(arguments, "sine")
     found = sines_of(run, last_excerpt(run, list(reanalysis.analyze(run))))

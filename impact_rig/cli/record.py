@@ -156,7 +156,7 @@ def _measured(directory: Path) -> RunMeasurements:
     from impact_rig.analysis.calibration import Calibration  # noqa: PLC0415  # as above
     from impact_rig.analysis.uncertainty_budget import budget  # noqa: PLC0415
     from impact_rig.runs import reanalysis  # noqa: PLC0415
-    from impact_rig.runs.wholes import calibration_rows  # noqa: PLC0415
+    from impact_rig.runs.excerpts import calibration_rows  # noqa: PLC0415
 
     with open_run(directory) as run:
         rows = reanalysis.rows(reanalysis.measurements(reanalysis.analyze(run)))

@@ -54,7 +54,7 @@ from impact_rig.rig.journal import (
     until_reset,
 )
 from impact_rig.rig.truth import Truth
-from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, TICKS_PER_S, stamp_ns
+from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S, TICKS_PER_S, scan_index, stamp_ns
 
 TRIAL_TICKS = 3
 SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
@@ -498,9 +498,9 @@ class Rig:
         Raises:
             CommandError: the time is more than a quarter of a sample off, or the drive is not a stream.
         """
-        rate, since = self.stream.rate_hz, stamp_ns - self.start_ns
-        sample = (2 * since * rate + NS_PER_S) // (2 * NS_PER_S)
-        off_ns = since - self.stream.time_ns(sample)
+        rate = self.stream.rate_hz
+        sample = scan_index(stamp_ns, rate, self.start_ns)
+        off_ns = stamp_ns - self.start_ns - self.stream.time_ns(sample)
         if abs(off_ns) * rate * 4 > NS_PER_S:
             self._refused_blocks += 1
             raise CommandError(

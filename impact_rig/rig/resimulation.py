@@ -31,7 +31,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
 from impact_rig.rig.journal import RESULTS, InputKind, JournalEntry, last_journal
-from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S
+from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S, first_scan_at
 
 Samples = NDArray[np.float64]
 
@@ -70,11 +70,6 @@ def resimulate(
     yield from Resimulation(journal, base, waveform).blocks
 
 
-def _first_sample_from(rig: Rig, stamp_ns: int) -> int:
-    """Return the number of the stream's first sample at or after the rig time `stamp_ns`."""
-    return -(-(stamp_ns - rig.start_ns) * rig.stream.rate_hz // NS_PER_S)
-
-
 class RecordedSamples(Buffer):
     """Buffer of a stream that holds all samples of a recording.
 
@@ -90,15 +85,15 @@ class RecordedSamples(Buffer):
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
         super().__init__(0)
         parts, last = [], 0
-        most = (
-            rig.stream.capacity + 1 + _first_sample_from(rig, max((sent.received_ns for sent in waveform), default=0))
-        )
+        rate, start_ns = rig.stream.rate_hz, rig.start_ns
+        newest_ns = max((sent.received_ns for sent in waveform), default=0)
+        most = rig.stream.capacity + 1 + first_scan_at(newest_ns, rate, start_ns)
         for stamp_ns, samples, received_ns, is_doubtful in waveform:
             with contextlib.suppress(CommandError):  # the rig had rejected it, too
                 check_stream(samples, rig.config.drive, rig.config.shaker)
                 first = rig.sample_at(stamp_ns)
                 if 0 <= first + len(samples) <= most:
-                    received = 0 if is_doubtful else _first_sample_from(rig, received_ns)
+                    received = 0 if is_doubtful else first_scan_at(received_ns, rate, start_ns)
                     parts.append((np.arange(first, first + len(samples)), samples, received, is_doubtful))
                     last = max(last, first + len(samples))
         self._recorded, self._are_there, is_certain = np.zeros(last), np.zeros(last, np.bool_), np.zeros(last, np.bool_)

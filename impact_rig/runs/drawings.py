@@ -32,7 +32,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.names import FIGURE_FORMATS
 from impact_rig.recording import Run
 from impact_rig.runs import reanalysis
-from impact_rig.runs.wholes import Excerpt, calibration_rows, last_excerpt
+from impact_rig.runs.excerpts import Excerpt, calibration_rows, last_excerpt
 from impact_rig.system import files
 
 if TYPE_CHECKING:

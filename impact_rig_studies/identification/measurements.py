@@ -38,7 +38,7 @@ from impact_rig.rig import InputKind
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.runs import recorded_journal
-from impact_rig.runs.wholes import calibration_rows, last_record
+from impact_rig.runs.excerpts import calibration_rows, last_record
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Regime
 from impact_rig_studies.campaign.results import Curves, Point

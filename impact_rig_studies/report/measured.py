@@ -42,8 +42,8 @@ from impact_rig.recording.description import MEASURED, MODE_KEY
 from impact_rig.rig.gaps import NO_SPHERE, case_of
 from impact_rig.runs import reanalysis
 from impact_rig.runs.drawings import TRACED_CYCLES, channel_units, main_motion
+from impact_rig.runs.excerpts import calibration_rows, last_excerpt
 from impact_rig.runs.origin import origin
-from impact_rig.runs.wholes import calibration_rows, last_excerpt
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Method
 from impact_rig_studies.campaign.run import Finished

@@ -33,7 +33,7 @@ from impact_rig.cli.main import main
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.runs import export, reanalysis, verification
-from impact_rig.runs.wholes import calibration_rows
+from impact_rig.runs.excerpts import calibration_rows
 from impact_rig.testing import LocalRig
 from impact_rig_studies.campaign.run import open_finished
 from impact_rig_studies.identification.measurements import recorded_decay

@@ -32,7 +32,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.instruments.section import SCAN
 from impact_rig.recording import open_run
 from impact_rig.runs import drawings, reanalysis
-from impact_rig.runs.wholes import Excerpt, last_excerpt
+from impact_rig.runs.excerpts import Excerpt, last_excerpt
 from impact_rig.testing import LocalRig
 
 pytest.importorskip("matplotlib")

@@ -28,8 +28,8 @@ from impact_rig.errors import RecordingError
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
-from impact_rig.runs import reanalysis, wholes
-from impact_rig.runs.wholes import last_excerpt
+from impact_rig.runs import excerpts, reanalysis
+from impact_rig.runs.excerpts import last_excerpt
 from impact_rig.testing import LocalRig
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
@@ -68,7 +68,7 @@ def steady(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_frequency_response_is_the_closed_form_within_its_uncertainty(swept: Path) -> None:
     with open_run(swept) as run:
-        found = wholes.response_of(run, 20.0)
+        found = excerpts.response_of(run, 20.0)
     frequency = found.frequency_hz[found.excited]
     far = (frequency > 6.5) & (frequency < 11.5)
     assert np.count_nonzero(far) > 90
@@ -136,13 +136,13 @@ def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
         open_run(record(tmp_path / "rest", recorded(rig))) as run,
         pytest.raises(RecordingError, match="the coherence of base and laser is below"),
     ):
-        wholes.response_of(run, 1.0)
+        excerpts.response_of(run, 1.0)
 
 
 def test_sines_agree_with_the_measurement_of_the_same_scans(steady: Path) -> None:
     with open_run(steady) as run:
         findings = list(reanalysis.analyze(run))
-        found = wholes.sines_of(run, last_excerpt(run, findings))
+        found = excerpts.sines_of(run, last_excerpt(run, findings))
         rows = reanalysis.rows(reanalysis.measurements(iter(findings)))
     row = rows[rows["settled"] == 1.0][-1]
     assert found.reference.frequency_hz == pytest.approx(9.3, abs=4 * found.reference.u_frequency_hz)
