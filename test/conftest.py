@@ -19,6 +19,7 @@ import argparse
 import contextlib
 import ctypes
 import fcntl
+import gc
 import importlib
 import multiprocessing
 import os
@@ -150,6 +151,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         _leave_out(config, items, lambda item: reached is not None and str(item.path.relative_to(ROOT)) not in reached)
     place = {name: number if seed is None else 0 for number, name in enumerate(LONGEST_FILES)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection() -> None:
+    """Let no garbage collection pass half a million objects again and again while they are made."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Except what was collected, which stays to the end, from garbage collections."""
+    gc.enable()
+    gc.freeze()
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
