@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any  # a source of either kind
 
 from impact_rig.cli.options import NAMESPACE, Commands, add_recorded_rig, subcommand
+from impact_rig.config.sections import Barriers, Daq
 from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 from impact_rig.system.extras import load
@@ -91,7 +92,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument(
         "--scan-rate",
         type=int,
-        default=10_000,
+        default=Daq().rate_hz,
         metavar="HZ",
         help="scans per second of the rig that is started (default: %(default)s)",
     )
@@ -263,7 +264,7 @@ def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
             "daq.rate_hz": arguments.scan_rate,
             "daq.block_scans": max(1, arguments.scan_rate // 100),
         },
-        "analysis": {"gap_m": 0.006},
+        "analysis": {"gap_m": Barriers().gap_m},
         "plot": {},
         "recorder": {"directory": str(arguments.output.resolve()), "record": not arguments.no_record},
     }

@@ -36,6 +36,7 @@ from impact_rig.cli.options import (
 from impact_rig.cli.parsers import Analysis
 from impact_rig.cli.quantities import GAP, Quantity, add_field, positive
 from impact_rig.config import FieldInfo
+from impact_rig.config.sections import Daq
 from impact_rig.errors import ConfigError
 from impact_rig_studies.dynamics import KINDS
 from impact_rig_studies.excitation import signals
@@ -63,7 +64,9 @@ def add_demo(commands: Commands) -> None:
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
     add_output(parser, "directory for runs, figure and summary (default: runs/demo_<date>)")
-    parser.add_argument("--scan-rate", type=int, default=10_000, metavar="HZ", help="scans per second (default: 10000)")
+    parser.add_argument(
+        "--scan-rate", type=int, default=Daq().rate_hz, metavar="HZ", help="scans per second (default: %(default)s)"
+    )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="seed of noise and calibration errors (default: 1)"
     )

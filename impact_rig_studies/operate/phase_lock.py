@@ -385,7 +385,7 @@ class LockedSine:
         measured: number of samples so far.
     """
 
-    def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float = 5.0) -> None:
+    def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float) -> None:
         self._lock, self._meter = PhaseLock(plan), PhasorMeter(info)
         self._rate_hz, self._limit_s = float(info["rate"][0]), accept_limit_s
         self._wanted = Setpoint(plan.start_hz, plan.current_a)

@@ -25,7 +25,7 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.operator import Applied, Operator, Update
 from impact_rig_studies.operate.phase_lock import LockedSine
-from impact_rig_studies.operate.plans import LockPlan
+from impact_rig_studies.operate.plans import LockPlan, SweepPlan
 from impact_rig_studies.operate.stepped_sine import Setpoint, SweepState
 
 LINEAR = from_flat(RigConfig(), {"sphere.present": False, "daq.block_scans": 500})
@@ -40,7 +40,7 @@ class Running:
         self.rig = Rig(LINEAR)
         self.rested = False
         self.noted: list[int] = []
-        self.lock = LockedSine(plan, self.rig.info().rows)
+        self.lock = LockedSine(plan, self.rig.info().rows, SweepPlan().accept_limit_s)
         self.operator = Operator(self.lock, self.drive, lambda lock: self.noted.append(lock.measured))
 
     def now_ns(self) -> int:
