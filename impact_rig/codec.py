@@ -194,7 +194,7 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
         if row < len(rows):
             value = rows[column.name][row].item()
             raise CodecError(
-                f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row} (from 0)"
+                f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}, counted from 0"
             )
     for column in plan.texts:
         _refuse_texts(rows[column.name], column, topic)
@@ -278,7 +278,9 @@ def _refuse_texts(values: NDArray[np.generic], column: Column, topic: Topic) -> 
         try:
             raw.decode()
         except UnicodeDecodeError:
-            raise CodecError(f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row} (from 0)") from None
+            raise CodecError(
+                f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row}, counted from 0"
+            ) from None
 
 
 def _decode(data: Buffer) -> Table:

@@ -107,7 +107,7 @@ class RunPlayer:
                 raise RecordingError(f"{path}: {error}") from error
             first = next(self._messages([topics.SCAN]), None)
             if first is None:
-                raise RecordingError(f"{path} contains no scans (daq/scan): nothing to show")
+                raise RecordingError(f"{path} contains no scans (daq/scan), so that there is nothing to show")
             self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
             self.start_ns = min(self.start_ns, self.begin_ns)
             self._stack = stack.pop_all()

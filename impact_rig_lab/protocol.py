@@ -155,7 +155,7 @@ def frequencies(name: str, value: object) -> tuple[float, ...]:
         RequestError: it is not a list of 1 to `MOST_FREQUENCIES` numbers within 0.001 and 10000 Hz.
     """
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
-        raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers, got {_short(value)}")
+        raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers in Hz, got {_short(value)}")
     return tuple(number(1e-3, 1e4)(name, one) for one in value)
 
 

@@ -183,7 +183,9 @@ class Calibration:
         for name, values in known.items():
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
-                raise ConfigError(f"daq/info: {name} must be infinite or at most {LARGEST:g}, got {values.tolist()}")
+                raise ConfigError(
+                    f"daq/info: {name} must be at most {LARGEST:g}, or inf for no limit, got {values.tolist()}"
+                )
         figures = [_finite(known[name]) for name in COLUMNS]
         derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])
         derivative[[ACCELEROMETER, CURRENT]] = 0

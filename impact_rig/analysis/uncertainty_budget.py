@@ -13,13 +13,17 @@
 # limitations under the License.
 """Uncertainty budget of the mean transmissibility of settled measurements, line by line as in the GUM.
 
-u(ε), of noise, scatter and a transient's remnant, is the rest of the stated total after the other parts, so the lines
-add up to it:
+The relative variance of DT is the sum of four terms for each of the channels laser and base, and a rest:
 
-    u²(DT)/DT² = u²(ε) + Σ over laser, base: u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnL/∂ln τ · u_τ)² + u_Q²
+    u²(DT)/DT² = u²(ε) + Σ { u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnH/∂ln τ · u_τ)² + u_Q² }
 
-u(S) is the sensitivity without the slope of the sensor's curve. The bracket is that curve at the amplitude a·R of the
-vibration (`calibration`). The last two terms are the sensor's lag, and the steps of sensor and converter.
+- u(S): sensitivity, without the slope of the sensor's curve at mid-range, which the next term contains
+- [...]: curve of the sensor at the amplitude a·R of the vibration. R is half the range, L the bound of the error of
+  linearity, c_3 the unknown share of the cubic in it (`calibration`).
+- u_τ: relative uncertainty of the sensor's lag τ. H is the frequency response of that lag.
+- u_Q: steps of sensor and converter
+- u(ε): noise, scatter and the remnant of a transient. It is the rest of the stated total, so the lines add up to the
+  total; it is 0 if the other terms already exceed the total.
 """
 
 from __future__ import annotations

@@ -223,7 +223,11 @@ def respond(
 
 @entry(CHANNEL, BUFFERS)
 def digitise(channels: Records, buffers: Buffers) -> None:
-    """Convert the volts that `respond` added to each channel's buffer into readings, in place."""
+    """Replace the volts that `respond` appended to each channel's buffer by readings in the unit of the channel.
+
+    The converter adds its noise and errors, and rounds to its steps. Readings outside its range are limited to it, and
+    marked in `buffers.clipped`.
+    """
     for j in range(channels.shape[0]):
         channel = channels[j]
         for begin in range(channel.finished, channel.filled, STRETCH):

@@ -136,10 +136,11 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
     Args:
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
-        keep: folder that holds the translated kernels or gets them, for the next build; default: a temporary one.
+        keep: folder that holds the kernels as LLVM code, or gets them, for the next build; default: a temporary one.
 
     Raises:
-        SystemExit: C compiler or translation failed, or is missing: there is neither assembly nor the right Numba.
+        SystemExit: the C compiler or the translation fails, or there is nothing to compile: neither the assembly of a
+            release nor the pinned version of Numba is installed.
     """
     began = time.monotonic()
     machine = machine or this_machine()

@@ -325,7 +325,10 @@ def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: i
 
 @kernel
 def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
-    """Return the rounding error [m] of a distance to a wall at t: that of the largest terms of x_1, with a margin."""
+    """Return the rounding error [m] of a distance to a wall at t: that of the largest terms of x_1, with a margin.
+
+    A bounce that is lower than this cannot be computed.
+    """
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
         largest += flight.wave_size[0, n]

@@ -514,6 +514,9 @@ class LogClock:
     def begin_block(self, first_ns: int, last_ns: int) -> int:
         """Advance the log time to the first scan of a received block, and return it: the log time of the block.
 
+        If the stamps went back, as those of a restarted rig do, log times continue from the last one. `end_block` later
+        advances the log time to the last scan.
+
         Args:
             first_ns: stamp of its first scan [ns].
             last_ns: stamp of its last scan [ns].

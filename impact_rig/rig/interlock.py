@@ -238,7 +238,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
     name, unit, high, why = amplitude_limit(drive, shaker)
     wrong = np.flatnonzero(~(np.abs(values) <= high))
     if len(wrong):
-        got = f"got {values[wrong[0]]:g} in row {wrong[0]} (from 0)"
+        got = f"got {values[wrong[0]]:g} in row {wrong[0]}, counted from 0"
         raise CommandError(f"{name} must be >= {-high:.4g} and <= {high:.4g} {unit} ({why}), {got}")
 
 

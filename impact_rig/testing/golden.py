@@ -150,7 +150,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             if len(bad):
                 i = int(bad[0])
                 return (
-                    f"{name} in row {i} (from 0) of the table at {one.stamp_ns / NS_PER_S:.9f} s: "
+                    f"{name} in row {i}, counted from 0, of the table at {one.stamp_ns / NS_PER_S:.9f} s: "
                     f"{quoted(one.rows[name][i])}, golden {quoted(other.rows[name][i])}"
                 )
     return "" if len(got) == len(right) else f"{len(got)} tables, golden {len(right)}"

@@ -115,7 +115,10 @@ class Finished:
             found: NDArray[np.void] = np.array([tuple(row[name] for name in names) for row in rows], DAQ_INFO)
             Calibration.from_info(found)
         except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
-            raise RecordingError(f"{path} is not a valid calibration: {' '.join(str(error).split())[:200]}") from error
+            why = f"no column {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
+            raise RecordingError(
+                f"{path} is not a valid calibration: {why}; import the campaign again into a new directory"
+            ) from error
         return found
 
     @property

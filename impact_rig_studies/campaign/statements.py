@@ -78,7 +78,7 @@ class Verdict:
 
     @property
     def margin(self) -> float | None:
-        """Distance of the judged value from its limit, in `unit`; None if the statement was not judged."""
+        """Absolute distance of the judged value from its limit, in `unit`; None if the statement was not judged."""
         return None if self.result is None else abs(self.result.limit - self.result.value)
 
     @property

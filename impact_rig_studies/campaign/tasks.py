@@ -183,7 +183,8 @@ def refuse_other_rig(directory: Path, rig: RigConfig) -> None:
         return
     for name, value in differences(rig, kept).items():
         raise RecordingError(
-            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}: choose another --output"
+            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}, whose "
+            "results would replace them: choose another --output"
         )
 
 

@@ -678,7 +678,7 @@ def add_identify(commands: Commands) -> None:
         commands,
         "identify",
         "impact_rig_studies.cli.identify:run_identify",
-        "determine constants of the rig from measured runs",
+        "determine f_n, ζ, m_1 and e of the structure and K_f, k_f, M, c_f of the shaker from measured runs",
         [
             ("identify runs/campaign_paper", "from its curves, its reductions and a free decay"),
             ("identify --paper", "what the paper's own numbers determine"),

@@ -102,7 +102,7 @@ def _value(key: str, value: object, kind: object) -> object:
             raise ConfigError(f"{key} must be one of {', '.join(Response)}, got {str(value)[:60]!r}")
         return value
     if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
-        raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {str(value)[:60]!r}")
+        raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {repr(value)[:60]}")
     return value if kind == "int" else float(value)
 
 

@@ -445,7 +445,7 @@ def test_a_scan_needs_the_requested_channels_as_numbers():
 def test_rows_that_are_not_contiguous_are_checked_like_others():
     rows = np.zeros(7, topics.APPLIED.columns)
     rows["sample"][4], rows["sample"][5] = 0.5, -1.0
-    with pytest.raises(CodecError, match=r"sample must be a whole number .* got 0.5 in row 2 \(from 0\)"):
+    with pytest.raises(CodecError, match=r"sample must be a whole number .* got 0.5 in row 2, counted from 0"):
         checked(Table(0, rows[::2]), topics.APPLIED)
     table = Table(0, rows[::3])
     assert checked(table, topics.APPLIED) is table

@@ -212,7 +212,7 @@ def test_the_comparison_with_a_golden_run_names_the_first_difference(tmp_path: P
     golden.run(measure(), topics=("daq/scan", "truth/impacts"))
     other = measure(**{"daq.seed": 2})
     with pytest.raises(
-        AssertionError, match=r"daq/scan differs .*: .* in row \d+ \(from 0\) of the table at 0\.0\d+ s: .*golden"
+        AssertionError, match=r"daq/scan differs .*: .* in row \d+, counted from 0, of the table at 0\.0\d+ s: .*golden"
     ):
         golden.run(other)
     noise = dict.fromkeys(CHANNELS, 1e3)
