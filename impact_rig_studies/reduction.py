@@ -11,7 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reduction of the transmissibility by a damper, from the settled rows of one session, and its uncertainty.
+"""Reduction of the transmissibility by a damper, and the damper's added mass and loss factor, with uncertainties.
+
+They are computed from the settled rows of one session.
 
 Reduction, 100 (1 − DT / DT_0), both measured with the same instruments. A transmissibility is measured as
 DT' = DT (1 + g_1 + b_1(A_1) − g_b − b_b(A_b) + ε) with laser (1) and base sensor (b):
@@ -113,7 +115,7 @@ class Damper:
     u_loss_factor: float  # standard uncertainty of `loss_factor`
 
 
-def damper(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Damper:
+def damper_effect(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Damper:
     """Derive a damper's added mass and loss factor from DT with and without it at one frequency.
 
     No constant of the rig is needed.

@@ -52,7 +52,7 @@ from impact_rig_studies.operate.phase_lock import (
     PhaseLock,
     follow,
     lock_on,
-    sweep_amplitude,
+    measure_backbone,
 )
 from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import SweepState
@@ -172,7 +172,7 @@ def locking(_draw: bool) -> list[Finding]:
 def _backbone(start: str) -> list[AmplitudePoint]:
     config = from_flat(RigConfig(), {"barriers.gap_m": SWEEP_GAP_M, "sphere.start": start})
     sweep = AmplitudeSweep(currents_a=CURRENTS_A, lock=LockPlan(start_hz=9.0, current_a=CURRENTS_A[0]))
-    return sweep_amplitude(sweep, LockLoop(LocalRig(with_short_blocks(config))))[0]
+    return measure_backbone(sweep, LockLoop(LocalRig(with_short_blocks(config))))[0]
 
 
 def _from_reset(place: tuple[str, float, float]) -> float:

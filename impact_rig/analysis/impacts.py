@@ -49,7 +49,7 @@ LOOK_AHEAD_SCANS = 6
 
 At low scan rates, most of a pulse may fall between the scans, and its aliased ringing is higher.
 """
-BLANK_S = 0.01
+FILTER_SETTLING_S = 0.01
 """Settling time of the high-pass after a start or a gap, in which no impacts are detected."""
 RMS_TIME_S = 0.1
 RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
@@ -126,7 +126,9 @@ class ImpactDetector:
             settings.threshold_m_s2, settings.noise_factor, settings.ring_factor, decay, forget,
         ])  # fmt: skip
         look_ahead = max(LOOK_AHEAD_SCANS, math.ceil(LOOK_AHEAD_S * rate))
-        self._times = np.array([look_ahead, round(BLANK_S * rate), round(QUIET_RING_TIMES * ring_time * rate)])
+        self._times = np.array(
+            [look_ahead, round(FILTER_SETTLING_S * rate), round(QUIET_RING_TIMES * ring_time * rate)]
+        )
         self.behind = 0
         """Number of scans within which every impact is found after it happened: the largest delay of the detector."""
         self._sensors: list[tuple[float, float, float]] = []  # first scan of its validity, lag [scans], noise [m/s²]

@@ -13,6 +13,8 @@
 # limitations under the License.
 """Uncertainty budget of the mean transmissibility of settled measurements, line by line as in the GUM.
 
+The module also has the coverage factor of every expanded uncertainty, and the text of a value with its uncertainty.
+
 The relative variance of DT is the sum of four terms for each of the channels laser and base, and a rest:
 
     u²(DT)/DT² = u²(ε) + Σ { u²(S) + [(1.5 − 1.875 a²) (L/R) u(c_3)]² + (Re ∂lnH/∂ln τ · u_τ)² + u_Q² }

@@ -175,7 +175,7 @@ class RigGoneError(GoneError):
     """Loss of the rig that a client addresses: it ended, was replaced or became silent, so waiting is pointless."""
 
 
-class Activation:
+class AddressedActivation:
     """Record of which activation of a rig a client addresses, so that a wait ends when that rig is gone.
 
     Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
@@ -353,7 +353,7 @@ class Client:
         """Latest diagnostics of each node, by name relative to the client's namespace, or by full name outside it."""
         self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
-        self._rigs: dict[str, Activation] = {}
+        self._rigs: dict[str, AddressedActivation] = {}
         self._publishers: dict[str, Any] = {}
         self._acknowledgements: dict[str, Template] = {}
         self._matched: set[Any] = set()
@@ -425,7 +425,7 @@ class Client:
             may_be_silent: whether the rig may be busy for seconds without a report, as when it compiles a new contact
                 law.
         """
-        activation = self._rigs.setdefault(rig, Activation(self._spinner.waited_s))
+        activation = self._rigs.setdefault(rig, AddressedActivation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
         if activation.is_overdue:  # no callback has run for a while: another rig may have started meanwhile
             deadline = time.monotonic() + DELIVERY_S
@@ -958,7 +958,9 @@ class Client:
             self.diagnostics[name] = status
             values = {value.key: value.value for value in status.values}
             if component.strip() == RIG and values.get("lifecycle") == "active":  # its next activation is another rig
-                self._rigs.setdefault(name, Activation(self._spinner.waited_s)).heard(values.get("instance", ""))
+                self._rigs.setdefault(name, AddressedActivation(self._spinner.waited_s)).heard(
+                    values.get("instance", "")
+                )
 
     def _troubles(self) -> str:
         """Return possible causes of a timeout, in parentheses: messages of unhealthy nodes, or that no node reports."""

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Model`: the numbers that the compiled event loop needs, built once from a configuration."""
+"""`Model`: the numbers that the compiled event loop needs, built once from a configuration.
+
+It also sets the default tolerance with which contacts are integrated, `CONTACT_RTOL`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 // Four traces above one time axis; every column of the picture is a minimum and a maximum.
+// The length of the axis is chosen in index.html (`span`); scope.py limits it.
 
 import { engineering, limits, line } from "./format.js";
 import { axis, clipped, colour, stacked } from "./paper.js";

@@ -36,7 +36,7 @@ import attrs
 
 from impact_rig.errors import ConfigError, GoneError, ImpactRigError
 from impact_rig.system.endings import SIGNALS, block_signals, defer_signals, end_with
-from impact_rig_studies.campaign.store import DECIDING, fingerprint
+from impact_rig_studies.campaign.store import DECIDING, code_fingerprint
 from impact_rig_studies.campaign.tasks import WorkItem
 
 J = TypeVar("J")
@@ -176,10 +176,10 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job on the Dask worker that this is called on, if its code is `code` (a `fingerprint`)."""
+    """Run a job on the Dask worker that this is called on, if its code is `code` (a `code_fingerprint`)."""
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
-    own = fingerprint(ROOMS)
+    own = code_fingerprint(ROOMS)
     return _Made(get_worker().address, own, work(job) if own == code else None)
 
 
@@ -199,7 +199,7 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
 
     def run(jobs: Sequence[P]) -> Generator[tuple[P, R], None, None]:
         client = _connected(address)
-        code, wrong, lost = fingerprint(ROOMS), dict[str, str](), list[str]()
+        code, wrong, lost = code_fingerprint(ROOMS), dict[str, str](), list[str]()
         running: dict[Any, P] = {}
         with client:
             done = as_completed(loop=client.loop, with_results=True, raise_errors=False)

@@ -52,7 +52,7 @@ from impact_rig_studies.campaign.paper import FREQUENCY_HZ, REDUCTION_PERCENT, R
 from impact_rig_studies.campaign.plan import Campaign, Planned, load_campaign
 from impact_rig_studies.campaign.results import Curves, Point, points_of, table, write_summary
 from impact_rig_studies.campaign.statements import Verdict
-from impact_rig_studies.campaign.store import FOLDER, Store, fingerprint
+from impact_rig_studies.campaign.store import FOLDER, Store, code_fingerprint
 from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE, refuse_other_rig
 
 CAMPAIGN_FILE, PROVENANCE_FILE = "campaign.yaml", "provenance.json"
@@ -154,7 +154,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)
         files.write_text(directory / CONFIGURATION_FILE, dump(campaign.base))
         provenance = {
-            "impact_rig": fingerprint(), "arithmetic": ARITHMETIC, "python": sys.version.split()[0],
+            "impact_rig": code_fingerprint(), "arithmetic": ARITHMETIC, "python": sys.version.split()[0],
             **machine.versions(LIBRARIES), "kernels": kernels.MODE,
             "machine": platform.machine(), "system": platform.platform(), "through": through,
         }  # fmt: skip

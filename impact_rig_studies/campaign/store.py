@@ -95,7 +95,7 @@ class Store:
             self.damaged.append(str(error))
             return None
         incomplete = job.traces and not (outcome.trace or outcome.failure)
-        if not as_it_is and (incomplete or found["code"] != fingerprint()):
+        if not as_it_is and (incomplete or found["code"] != code_fingerprint()):
             return None
         return outcome
 
@@ -111,7 +111,7 @@ class Store:
         content = {
             "job": job.describe(),
             "key": job.key,
-            "code": fingerprint(),
+            "code": code_fingerprint(),
             "changes": dict(job.changes),
             "current_a": job.current_a,
             "frequencies_hz": list(job.frequencies_hz),
@@ -309,7 +309,7 @@ DECIDING = (
 
 
 @functools.cache
-def fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
+def code_fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
     """Return the version of the package, and a digest of the sources of these packages: 12 hexadecimal digits.
 
     Names of packages and modules are relative to `impact_rig` and to `impact_rig_studies`.

@@ -37,7 +37,7 @@ from impact_rig.errors import ConfigError, RecordingError
 from impact_rig.rig.config import RigConfig, differences, dump, load_config, to_flat
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
-from impact_rig_studies.campaign.store import DECIDING, fingerprint
+from impact_rig_studies.campaign.store import DECIDING, code_fingerprint
 
 CONFIGURATION_FILE = "configuration.yaml"
 MAX_TASK_BYTES = 64 * 2**20
@@ -130,7 +130,7 @@ class TaskStore(Generic[T]):
 
     def code(self) -> str:
         """Return the identifier of the code that determines the results: those of other code are measured again."""
-        return fingerprint((*DECIDING, *self.rooms))
+        return code_fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
         """Return the stored rows of a task; None if it must be measured.

@@ -46,7 +46,7 @@ from impact_rig_studies.operate.phase_lock import (
     LockLoop,
     lock_on,
     mean,
-    sweep_amplitude,
+    measure_backbone,
 )
 from impact_rig_studies.operate.plans import Direction, Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import ControlledSine, SteppedSine, SweepState
@@ -209,7 +209,7 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:
-            points, why = sweep_amplitude(AmplitudeSweep(currents_a=currents, lock=plan), LockLoop(rig))
+            points, why = measure_backbone(AmplitudeSweep(currents_a=currents, lock=plan), LockLoop(rig))
         content = {"points": [attrs.asdict(one) for one in points], "ended_early": why}
         names = [field.name for field in attrs.fields(AmplitudePoint)]
         _write(directory, arguments.test, names, map(attrs.astuple, points), content)

@@ -76,7 +76,7 @@ def run_import(arguments: argparse.Namespace) -> int:
                 if arguments.dry_run:
                     _print_source(console, source)
                 raise
-            shown.append(store.describe(found))
+            shown.append(store.origin_of(found))
             _print(console, found)
             if not arguments.dry_run:
                 store.write(found, folder / part)

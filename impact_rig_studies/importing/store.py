@@ -55,7 +55,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
     provenance = Provenance(version=impact_rig.__version__, seed=0, wall_start_ns=now, extra=about)
     kept = (
         Attachment(MAPPING_FILE, as_yaml(found.mapping).encode(), "application/yaml"),
-        Attachment(SOURCE, json.dumps(describe(found), ensure_ascii=False, indent=1).encode(), "application/json"),
+        Attachment(SOURCE, json.dumps(origin_of(found), ensure_ascii=False, indent=1).encode(), "application/json"),
     )
     numbers: dict[str, int] = {}
     with RunWriter(directory, provenance=provenance, attachments=kept, clock=time.monotonic) as writer:
@@ -86,7 +86,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
     return directory
 
 
-def describe(found: ImportedRun) -> dict[str, object]:
+def origin_of(found: ImportedRun) -> dict[str, object]:
     """Return the origin of an imported run as data: what was read from the file, assumed about it, and left out."""
     source = found.source
     used = {one.column: name for name, one in found.mapping.channels.items()}

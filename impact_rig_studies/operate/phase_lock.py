@@ -29,7 +29,7 @@ are fitted by a sine, and corrected for skew and lag of the sensors by their cal
 
 `LockedSine` is the lock for an operator, which passes events of a rig to it. A program that itself drives a rig uses
 `LockLoop` with `lock_on` and `follow`. It measures the backbone curve, the resonance over the amplitude, with
-`sweep_amplitude`.
+`measure_backbone`.
 """
 
 from __future__ import annotations
@@ -657,7 +657,7 @@ class AmplitudePoint:
     jumped: bool  # whether the response differs from the previous point: DT jumped, or the lock appeared or was lost
 
 
-def sweep_amplitude(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
+def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
     """Measure a backbone curve: lock the phase at each current, ascending then descending, and average.
 
     Args:

@@ -51,7 +51,7 @@ from impact_rig_studies.campaign.job import Trace
 from impact_rig_studies.campaign.paper import FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT, Reductions
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.campaign.statements import MissingError, peak_hz
-from impact_rig_studies.reduction import Damper, damper
+from impact_rig_studies.reduction import Damper, damper_effect
 from impact_rig_studies.report.studies import Stretch, predicted
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=_title(NO_SPHERE), ylim=(0.0, None))
     axis.legend(loc="upper left")
     caption = "Displacement transmissibility without the sphere (the paper's Fig. 6)."
-    lines = [measured_line(NO_SPHERE, points), _predicted_line(NO_SPHERE, exact)]
+    lines = [curve_numbers(NO_SPHERE, points), _predicted_line(NO_SPHERE, exact)]
     yield Drawn("fig6_without_sphere", figure, caption, lines)
 
 
@@ -102,7 +102,7 @@ def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     for name, (low, high), what in ranges:
         measured = {gap: _within(curves, gap, low, high) for gap in cases}
         theory = {gap: predicted(config, gap, np.linspace(low, high, FINE), paper.CURRENT_A) for gap in cases}
-        lines = [measured_line(gap, points) for gap, points in measured.items()]
+        lines = [curve_numbers(gap, points) for gap, points in measured.items()]
         lines += [_predicted_line(gap, part) for gap, parts in theory.items() for part in parts]
         figure, axes = new_axes(HEIGHT_INCH, (1.5, 1.5, 1.0))
         for gap in cases:
@@ -328,7 +328,7 @@ def case(gap_m: float) -> str:
     return case_of(gap_m).removeprefix("gap ")
 
 
-def measured_line(gap_m: float, points: Sequence[Point]) -> Line:
+def curve_numbers(gap_m: float, points: Sequence[Point]) -> Line:
     """Return the numbers of a drawn curve for its CSV: DT and phase of the points with a gap over the frequency."""
     return Line(
         case(gap_m),
@@ -358,7 +358,7 @@ def figure_8(curves: Curves) -> Iterator[Drawn]:
             axis.plot(FREQUENCY_HZ, wanted, "D", color=PAPER_RED, markerfacecolor="none", markersize=6.0, label=label)
         axis.set(xlabel="frequency (Hz)", ylabel="transmissibility", title=_title(gap), ylim=(0.0, None))
         axis.legend(loc="upper left")
-        lines = [measured_line(at, one) for at, one in ((NO_SPHERE, without), (gap, points)) if one]
+        lines = [curve_numbers(at, one) for at, one in ((NO_SPHERE, without), (gap, points)) if one]
         yield Drawn(f"fig8{letter}_gap_{gap * 1e3:g}mm", figure, f"Gap {gap * 1e3:g} mm (Fig. 8{letter}).", lines)
 
 
@@ -376,7 +376,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
         except MissingError:
             continue
         points = [p for f, p in sorted(curves.by_gap[gap].items()) if abs(f - FREQUENCY_HZ) < 0.0999]
-        lines.append(measured_line(gap, points))
+        lines.append(curve_numbers(gap, points))
         dash = "--" if gap == NO_SPHERE else "-"
         axis.plot([p.frequency_hz for p in points], [p.dt for p in points], dash, color=colour(gap), label=case(gap))
         axis.axvline(peak, color=colour(gap), linewidth=0.7, linestyle=":")
@@ -395,7 +395,7 @@ def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float,
         for frequency, point in sorted(curves.by_gap[gap].items()):
             without = curves.at(NO_SPHERE, frequency)
             if without is not None:
-                found.setdefault(gap, {})[frequency] = damper(without.rows, point.rows, calibration)
+                found.setdefault(gap, {})[frequency] = damper_effect(without.rows, point.rows, calibration)
     return found
 
 

@@ -26,7 +26,7 @@ from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.rig.config import RigConfig
 from impact_rig.testing import LocalRig
-from impact_rig_studies.reduction import damper
+from impact_rig_studies.reduction import damper_effect
 
 FREQUENCY_HZ, CURRENT_A, SECONDS = 9.1, 0.52, 20.0
 
@@ -48,7 +48,7 @@ def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], LocalRig]
 def test_the_loss_factor_agrees_with_the_energy_lost_in_impacts(gap_m: float) -> None:
     without, _ = measured({"sphere.present": False})
     row, rig = measured({"barriers.gap_m": gap_m})
-    found = damper(without, row, Calibration.from_info(rig.tables(topics.INFO.name)[0].rows))
+    found = damper_effect(without, row, Calibration.from_info(rig.tables(topics.INFO.name)[0].rows))
     cycles = 40
     end = rig.time_s
     lost = sum(

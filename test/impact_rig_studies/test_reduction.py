@@ -22,7 +22,7 @@ from kits.records import info_rows
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.blocks import TRANSMISSIBILITY
-from impact_rig_studies.reduction import damper, reduction, repeatability
+from impact_rig_studies.reduction import damper_effect, reduction, repeatability
 
 DRAWS = 4000
 NOISE = 1e-4
@@ -130,7 +130,7 @@ def test_transmissibilities_with_and_without_damper_yield_added_mass_and_loss_fa
     calibration = certificate(gain_u=5e-3, laser_linearity_m=0.0)
     wanted = 0.008, 0.006
     ratios = structure(frequency_hz), structure(frequency_hz, *wanted)
-    exact = damper(*(row_of(calibration, ratio) for ratio in ratios), calibration)
+    exact = damper_effect(*(row_of(calibration, ratio) for ratio in ratios), calibration)
     assert (exact.added_mass, exact.loss_factor) == pytest.approx(wanted, rel=1e-9)
     rng, inside = np.random.default_rng(2), np.zeros(2)
     gain_u = float(np.hypot(*calibration.gain_uncertainty[[LASER, BASE]]))
@@ -138,7 +138,7 @@ def test_transmissibilities_with_and_without_damper_yield_added_mass_and_loss_fa
         rows = []
         for ratio, noise, turn in zip(ratios, noises[:2], noises[2:], strict=True):
             rows.append(row_of(calibration, ratio * np.exp(1j * NOISE * turn), 1 + gain_u * gain, NOISE * noise))
-        found = damper(*rows, calibration)
+        found = damper_effect(*rows, calibration)
         inside[0] += abs(found.added_mass - wanted[0]) <= 2 * found.u_added_mass
         inside[1] += abs(found.loss_factor - wanted[1]) <= 2 * found.u_loss_factor
     assert (inside / 400 >= 0.93).all(), inside / 400

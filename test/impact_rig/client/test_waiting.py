@@ -82,10 +82,10 @@ def test_a_client_works_while_pytest_captures_output(tmp_path: Path) -> None:
 
 def test_a_command_fails_when_its_rig_is_silent_or_another_rig_has_started() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.client import GONE_S, Activation, RigGoneError
+    from impact_rig.client.client import GONE_S, AddressedActivation, RigGoneError
 
     now = 0.0
-    rig = Activation(lambda: now)
+    rig = AddressedActivation(lambda: now)
     unknown = rig.given("a command")
     now = 100.0
     unknown()  # no message yet: it may still be starting
@@ -111,10 +111,10 @@ def test_a_command_fails_when_its_rig_is_silent_or_another_rig_has_started() -> 
 
 def test_a_command_addresses_the_rig_whose_start_the_client_has_seen() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.client import Activation, RigGoneError
+    from impact_rig.client.client import AddressedActivation, RigGoneError
 
     now = 0.0
-    rig = Activation(lambda: now)
+    rig = AddressedActivation(lambda: now)
     rig.heard("one")
     rig.changed()
     check = rig.given("a command")
@@ -136,10 +136,10 @@ def test_a_command_addresses_the_rig_whose_start_the_client_has_seen() -> None:
 def test_an_immediate_command_belongs_to_the_rig_that_is_running() -> None:
     """A quick client must not mistake the successor for its rig while outdated diagnostics are ignored."""
     pytest.importorskip("rclpy", reason="no ROS 2 here")
-    from impact_rig.client.client import Activation, RigGoneError
+    from impact_rig.client.client import AddressedActivation, RigGoneError
 
     now = 0.0
-    rig = Activation(lambda: now)
+    rig = AddressedActivation(lambda: now)
     rig.heard("one")
     rig.changed()
     rig.heard("one")  # the same one, but it could have been under way

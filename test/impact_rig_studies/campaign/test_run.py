@@ -105,7 +105,7 @@ def test_a_failed_run_removes_the_trace_of_an_earlier_one(measured, tmp_path):
 def test_a_result_of_other_code_is_shown_but_not_mixed_with_new_ones(tiny, measured, tmp_path, monkeypatch):
     store = run.prepare(tiny, tmp_path, "process")
     with monkeypatch.context() as before:
-        before.setattr("impact_rig_studies.campaign.store.fingerprint", lambda: "0.0.9-of-old")
+        before.setattr("impact_rig_studies.campaign.store.code_fingerprint", lambda: "0.0.9-of-old")
         for job, outcome in measured.values():
             store.put(job, outcome)
             assert store.get(job) is not None
@@ -334,7 +334,7 @@ def test_running_a_part_of_a_campaign_keeps_all_earlier_results(tmp_path, capsys
         assert (summary["points"], len(run.open_finished(out).points)) == (4, 4)
         assert "4 points; results for programs" in (printed := " ".join(capsys.readouterr().out.split()))
         assert "other code" not in printed
-    monkeypatch.setattr("impact_rig_studies.campaign.store.fingerprint", lambda: "0.0.9-of-new")
+    monkeypatch.setattr("impact_rig_studies.campaign.store.code_fingerprint", lambda: "0.0.9-of-new")
     assert main([*command, "--only", "two"]) == 0
     assert "2 runs of other studies were measured with other code or lack a trace" in " ".join(
         capsys.readouterr().out.split()

@@ -37,7 +37,7 @@ from impact_rig_studies.operate.phase_lock import (
     follow,
     lock_on,
     mean,
-    sweep_amplitude,
+    measure_backbone,
 )
 from impact_rig_studies.operate.plans import LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import SweepState
@@ -170,7 +170,7 @@ def test_an_amplitude_sweep_reports_jumps():
             super().set(setpoint)
             self.zeta = 0.0045 if setpoint.current_a < 0.3 else 0.01
 
-    points, why = sweep_amplitude(AmplitudeSweep(currents_a=(0.1, 0.2, 0.4), lock=PLAN), Jumping())
+    points, why = measure_backbone(AmplitudeSweep(currents_a=(0.1, 0.2, 0.4), lock=PLAN), Jumping())
     assert why == ""
     assert [(one.direction, one.current_a) for one in points] == [
         ("up", 0.1), ("up", 0.2), ("up", 0.4), ("down", 0.2), ("down", 0.1),
