@@ -49,7 +49,7 @@ from impact_rig.client.processes import ParameterValue, Processes, domain_of_env
 from impact_rig.client.service_call import ServiceCall
 from impact_rig.errors import CodecError, CommandError, ConfigError, GoneError, ImpactRigError
 from impact_rig.nodes import messages
-from impact_rig.nodes.managed import with_info
+from impact_rig.nodes.managed import DIAGNOSTICS_PERIOD_S, with_info
 from impact_rig.nodes.messages import Template, by_name, header_stamp_ns
 from impact_rig.nodes.process import make_executor, patient_threads
 from impact_rig.rig.journal import JournalEntry
@@ -154,8 +154,7 @@ class Collector:
 
 
 SPIN_S = 0.1
-GONE_S = 2.0  # every rig reports once a second in any state, so a rig that is silent for longer is gone
-DIAGNOSTICS_PERIOD_S = 1.0
+GONE_S = 2 * DIAGNOSTICS_PERIOD_S  # every rig reports in any state, so one that is silent for longer is gone
 DELIVERY_S = 0.05  # messages that arrived while the executor was not spinning are delivered within this time
 HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched messages within this time
 

@@ -139,7 +139,7 @@ S = TypeVar("S", bound=attrs.AttrsInstance)
 Done = Callable[[bool, str], None]
 """Function that answers a request of `std_srvs/Trigger` or `std_srvs/SetBool` by success and message; call it once."""
 
-DIAGNOSTICS_PERIOD_S = 1.0
+DIAGNOSTICS_PERIOD_S = 1.0  # longest time between two reports of a node on `diagnostics`
 CHANGE_PERIOD_S = 0.1
 """Interval [s] at which a node checks whether level, message or state of its diagnostics have changed.
 
