@@ -901,7 +901,7 @@ def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys
     assert rows() == asked, "what is stored is kept"
     (tmp_path / "map.yaml").write_text("axes: {gap_m: [0.020, 0.031], current_a: [0.5, 0.52]}\ndirection: up\n")
     assert main([*words[:-1], str(tmp_path / "up"), "--exponent"]) == 1
-    assert "direction must be reset" in capsys.readouterr().err
+    assert "map.yaml must be reset" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
