@@ -51,8 +51,8 @@ from impact_rig_studies.operate.phase_lock import (
     LockLoop,
     PhaseLock,
     follow,
-    lock_on,
     measure_backbone,
+    run_phase_lock,
 )
 from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import SweepState
@@ -136,7 +136,7 @@ def locking(_draw: bool) -> list[Finding]:
     config = from_flat(RigConfig(), {"sphere.present": False})
     true_hz = 9.105 / math.sqrt(1.0 - 4.0 * config.structure.damping_ratio**2)
     for start in (true_hz - 1.0, true_hz + 1.0):
-        lock = lock_on(
+        lock = run_phase_lock(
             LockPlan(start_hz=start, current_a=0.3, dwell_s=30.0), LockLoop(LocalRig(with_short_blocks(config)))
         )
         late = lock.rows[-20:]

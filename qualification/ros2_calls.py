@@ -41,7 +41,7 @@ from impact_rig.config.tree import nested
 from impact_rig.graph import SERVICES
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS, nanoseconds
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from impact_rig.nodes.rig_node import RigNode
 
 NODES = ("rig", "analysis", "recorder", "plot")
@@ -208,7 +208,7 @@ def renamed(calls: Calls) -> None:
     arguments = ["--ros-args", *itertools.chain.from_iterable(("-r", rule) for rule in rules)]
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(AnalysisNode, cli_args=arguments)
-        client.host(PlotNode, cli_args=arguments)
+        client.host(PlotDataNode, cli_args=arguments)
         parameters = ros_parameters({"time.mode": "lockstep"})
         client.host(RigNode, parameter_overrides=parameters, cli_args=arguments)
         client.wait_active("rig", "analysis", "plot")

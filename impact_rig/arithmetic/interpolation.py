@@ -27,7 +27,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.precise import ONE, ZERO, dot, pi, precise, unit
+from impact_rig.arithmetic.precise import ONE, ZERO, dot, pi, unit, with_70_digits
 from impact_rig.kernels import INTEGERS, REALS, REALS_2D, Integers, Reals, entry, kernel
 
 NODES = 8
@@ -35,7 +35,7 @@ PIECE_TERMS = 14
 """Number of terms of the power series that `shorten` reduces to NODES terms."""
 
 
-@precise
+@with_70_digits
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the Chebyshev nodes in ascending order, the matrix TO_MONOMIALS, and the matrix that `shorten` uses.
 

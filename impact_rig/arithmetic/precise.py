@@ -47,7 +47,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def precise(function: Callable[P, R]) -> Callable[P, R]:
+def with_70_digits(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that does what `function` does, with `DIGITS` digits in any thread's decimal context."""
 
     @functools.wraps(function)
@@ -110,7 +110,7 @@ def product(factors: Iterable[Complex]) -> Complex:
 
 
 @functools.cache
-@precise
+@with_70_digits
 def pi() -> Decimal:
     """Return π to `DIGITS` digits, as 16 atan(1/5) − 4 atan(1/239) (Machin)."""
     return 16 * _arc_tangent_of_inverse(5) - 4 * _arc_tangent_of_inverse(239)
@@ -125,7 +125,7 @@ def _arc_tangent_of_inverse(n: int) -> Decimal:
     return total
 
 
-@precise
+@with_70_digits
 def unit(angle: Decimal) -> Complex:
     """Return e^{i angle}, the angle in radians, to `DIGITS` digits for an angle of at most a few turns."""
     term, total, k = Complex(ONE), Complex(ONE), 0
@@ -157,7 +157,7 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
     return value, slope
 
 
-@precise
+@with_70_digits
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
     """Return the roots of a real polynomial, or None if they are not found: two of them are too close to separate.
 
@@ -208,7 +208,7 @@ def _paired(found: list[Complex]) -> list[Complex] | None:
     return sorted(real, key=lambda z: -z.real) + sorted(upper, key=lambda z: z.imag)
 
 
-@precise
+@with_70_digits
 def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]:
     """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s) for a matrix M: shapes (n + 1,), (n, n, n), constants first.
 

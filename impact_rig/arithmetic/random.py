@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.elementary import exp, log
-from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, precise, product, square_root, unit
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, pi, product, square_root, unit, with_70_digits
 from impact_rig.kernels import MODE, REALS, WORDS, Reals, Records, Words, entry, kernel, records
 
 _LAYERS = 256
@@ -215,7 +215,7 @@ class BandPass(NamedTuple):
 
 
 @functools.cache
-@precise
+@with_70_digits
 def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
     """Return the band-pass filter from `low_hz` to `high_hz` that turns white noise of unit rms into noise of unit rms.
 

@@ -35,7 +35,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, modulus, pi, precise, product, unit
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, Complex, modulus, pi, product, unit, with_70_digits
 from impact_rig.config.fields import choice, integer, quantity, switch
 
 ADC_RANGES_V = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)  # input ranges of the board [± V]
@@ -102,7 +102,7 @@ class Transfer:
     poles: tuple[Complex, ...]
     gain: Decimal
 
-    @precise
+    @with_70_digits
     def __mul__(self, other: Transfer) -> Transfer:
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain)
 
@@ -116,7 +116,7 @@ class Transfer:
         ratio = float(self.gain) * np.prod(s - above, axis=-1) / np.prod(s - below, axis=-1)
         return np.asarray(ratio, dtype=np.complex128)
 
-    @precise
+    @with_70_digits
     def delay_s(self) -> float:
         """Return the delay at low frequency [s], −Σ Re(1/p) over the poles p, of a low-pass without zeros."""
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
@@ -127,7 +127,7 @@ class Transfer:
 
 
 @functools.lru_cache(maxsize=64)  # a change that keeps a sensor's dynamics recomputes nothing
-@precise
+@with_70_digits
 def _modes(transfer: Transfer) -> SensorModes:
     upper = _distinct(transfer.poles)
     poles = [*upper, *(pole.conjugate() for pole in upper if pole.imag)]
@@ -154,7 +154,7 @@ def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
 
 
 @functools.lru_cache
-@precise
+@with_70_digits
 def lag(time_constant_s: float) -> Transfer:
     """Return the transfer function 1 / (1 + τ s) of a first-order lag, with τ = `time_constant_s`."""
     rate = ONE / Decimal(time_constant_s)
@@ -162,14 +162,14 @@ def lag(time_constant_s: float) -> Transfer:
 
 
 @functools.lru_cache
-@precise
+@with_70_digits
 def high_pass(corner_hz: float) -> Transfer:
     """Return the transfer function s / (s + ω) of a first-order high-pass, with ω = 2π `corner_hz`."""
     return Transfer((Complex(ZERO),), (Complex(-TWO * pi() * Decimal(corner_hz)),), ONE)
 
 
 @functools.lru_cache
-@precise
+@with_70_digits
 def butterworth(order: int, corner_hz: float) -> Transfer:
     """Return the transfer function of a Butterworth low-pass: unit gain at zero frequency, −3 dB at the corner."""
     omega = TWO * pi() * Decimal(corner_hz)
@@ -181,7 +181,7 @@ def butterworth(order: int, corner_hz: float) -> Transfer:
 
 
 @functools.lru_cache
-@precise
+@with_70_digits
 def resonance(frequency_hz: float, quality: float) -> Transfer:
     """Return the transfer function ω² / (s² + s ω/quality + ω²) of a sensor with a mounted resonance, quality > 1/2.
 

@@ -48,7 +48,7 @@ class PlotSettings:
     autostart: bool = switch(True, "Configure and activate at start without a request.", read_only=True)
 
 
-class PlotNode(ManagedNode[PlotSettings]):
+class PlotDataNode(ManagedNode[PlotSettings]):
     """Lifecycle node that publishes the topics `plot/...`, computed from scans, drive and measurements."""
 
     COMPONENT = "plots"
@@ -231,5 +231,5 @@ def _vector(topic: Topic, frame_prefix: str) -> Template:
     return Template(message, *VECTOR)
 
 
-PROGRAM = PlotNode
+PROGRAM = PlotDataNode
 """Factory of the node for the program `plot_node`."""

@@ -41,9 +41,9 @@ from impact_rig.arithmetic.precise import (
     evaluate,
     evaluate_with_slope,
     modulus,
-    precise,
     resolvent,
     roots,
+    with_70_digits,
 )
 from impact_rig.config.sections import Barriers, Drive, Shaker, Sphere, Structure
 from impact_rig.errors import ConfigError
@@ -225,7 +225,7 @@ def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDA
     return answer
 
 
-@precise
+@with_70_digits
 def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64] | None:
     polynomial, adjugate = resolvent(_exactly(matrix))
     if not polynomial[0]:
@@ -234,7 +234,7 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
     return np.array([float(dot(row, loads) / polynomial[0]) for row in adjugate[0]])
 
 
-@precise
+@with_70_digits
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
     """Return the modes of a real matrix, with many digits, or None if two of them are too similar to separate."""
     polynomial, adjugate = resolvent(_exactly(matrix))

@@ -66,9 +66,9 @@ class Watch:
 
     def __enter__(self) -> Watch:
         with contextlib.suppress(OSError):  # as below
-            if before := mark_half_created(self._directory, set()):
+            if before := invalidate_abandoned_segments(self._directory, set()):
                 time.sleep(self._period_s)
-                mark_half_created(self._directory, before)
+                invalidate_abandoned_segments(self._directory, before)
         with block_signals():
             self._thread.start()
         return self
@@ -81,10 +81,10 @@ class Watch:
         before: set[tuple[str, int]] = set()
         while not self._end.wait(self._period_s):
             with contextlib.suppress(OSError):  # the directory is missing or not readable
-                before = mark_half_created(self._directory, before)
+                before = invalidate_abandoned_segments(self._directory, before)
 
 
-def mark_half_created(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
+def invalidate_abandoned_segments(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
     """Mark as corrupt the shared-memory segments that are half created and were so at the last check.
 
     Args:

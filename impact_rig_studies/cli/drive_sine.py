@@ -44,9 +44,9 @@ from impact_rig_studies.operate.phase_lock import (
     AmplitudePoint,
     AmplitudeSweep,
     LockLoop,
-    lock_on,
     mean,
     measure_backbone,
+    run_phase_lock,
 )
 from impact_rig_studies.operate.plans import Direction, Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import ControlledSine, SteppedSine, SweepState
@@ -162,7 +162,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
     )
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:
-            lock = lock_on(plan, LockLoop(rig))
+            lock = run_phase_lock(plan, LockLoop(rig))
         locked_s = None if lock.locked_ns is None else lock.locked_ns / NS_PER_S
         dwelt = lock.rows[lock.rows["time"] >= (math.inf if locked_s is None else locked_s)]
         early, missing = "" if lock.state is SweepState.FINISHED else lock.reason, ""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from impact_rig.blocks import MOST_HZ
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing import cells, headings, units
-from impact_rig_studies.importing.limits import allow_columns
+from impact_rig_studies.importing.limits import check_column_count
 from impact_rig_studies.importing.signals import (
     NO_ABSCISSA,
     Abscissa,
@@ -87,7 +87,7 @@ def signals_of(
         left_out: parts that the reader has left out.
         rate_note: assumption about `rate_hz`, or the reason why it is None.
     """
-    allow_columns(len(columns))
+    check_column_count(len(columns))
     column_units = column_units or {}
     omitted = dict(left_out or {})
     texts: dict[str, list[str]] = {}
@@ -153,7 +153,7 @@ def signals_of(
             omitted[heading] = "an array of more than two dimensions"
             continue
         rows = squeezed[None] if squeezed.ndim == 1 else squeezed if len(squeezed) < len(squeezed.T) else squeezed.T
-        allow_columns(len(rows) + len(signals))
+        check_column_count(len(rows) + len(signals))
         plain, unit = headings.split_unit(heading)
         for number, row in enumerate(rows):
             own, full = (plain, heading) if len(rows) == 1 else (f"{plain}_{number}", f"{heading}_{number}")

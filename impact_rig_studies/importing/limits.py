@@ -30,7 +30,7 @@ EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
 """Allowed size of a file's numbers after decompression [bytes]: a constant part, and a part per byte of the file."""
 
 
-def allow_columns(count: int) -> None:
+def check_column_count(count: int) -> None:
     """Reject a file with more columns or signals than any measurement has.
 
     Raises:
@@ -39,17 +39,17 @@ def allow_columns(count: int) -> None:
     budget.allow("columns in a file", count, COLUMNS)
 
 
-def allow_values(count: float, file_bytes: int) -> None:
+def check_value_count(count: float, file_bytes: int) -> None:
     """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: `count` is above `VALUES`, or numbers of 8 bytes are above the limit of `allow_bytes`.
+        BudgetError: `count` is above `VALUES`, or numbers of 8 bytes are above the limit of `check_expanded_bytes`.
     """
     budget.allow("values in a file", count, VALUES)
-    allow_bytes(8.0 * count, file_bytes)
+    check_expanded_bytes(8.0 * count, file_bytes)
 
 
-def allow_bytes(size: float, file_bytes: int) -> None:
+def check_expanded_bytes(size: float, file_bytes: int) -> None:
     """Reject a file whose content of `size` bytes after decompression is far larger than the file.
 
     Raises:

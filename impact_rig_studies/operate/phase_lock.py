@@ -28,7 +28,7 @@ A sample (`PhasorMeter`) is faster than a settled measurement: the scans of the 
 are fitted by a sine, and corrected for skew and lag of the sensors by their calibration certificate.
 
 `LockedSine` is the lock for an operator, which passes events of a rig to it. A program that itself drives a rig uses
-`LockLoop` with `lock_on` and `follow`. It measures the backbone curve, the resonance over the amplitude, with
+`LockLoop` with `run_phase_lock` and `follow`. It measures the backbone curve, the resonance over the amplitude, with
 `measure_backbone`.
 """
 
@@ -575,7 +575,7 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
         loop.set(setpoint)
 
 
-def lock_on(plan: LockPlan, loop: LockLoop) -> PhaseLock:
+def run_phase_lock(plan: LockPlan, loop: LockLoop) -> PhaseLock:
     """Run a complete phase lock on a rig (search, track, dwell), and return it, finished or aborted.
 
     Args:

@@ -38,7 +38,7 @@ from impact_rig_studies.dynamics import plan as dynamics
 from impact_rig_studies.report import content as kept
 from impact_rig_studies.report import cover, dt, findings, measured
 from impact_rig_studies.report.content import Cell, Content, number
-from impact_rig_studies.report.dt import phase_plane, time_trace
+from impact_rig_studies.report.dt import draw_phase_plane, draw_time_trace
 from impact_rig_studies.report.findings import value_cell
 from impact_rig_studies.report.page import Section, contents, folded, links, page, paragraph, section
 from impact_rig_studies.report.studies import continued, reduction_over_gap, study_figures
@@ -155,22 +155,22 @@ def _sections(
     curves, config, keep = done.curves, done.campaign.base, content.figures
     reductions = done.reductions()
     compared = itertools.chain(
-        dt.without_sphere(curves, config),
-        dt.reductions_by_gap(reductions),
-        dt.differences(reductions),
-        dt.errors_without_sphere(curves, config),
+        dt.draw_without_sphere(curves, config),
+        dt.draw_reductions_by_gap(reductions),
+        dt.draw_residuals(reductions),
+        dt.draw_errors_without_sphere(curves, config),
     )
-    details = itertools.chain(dt.peaks(curves), dt.amplitudes(curves), dt.regime_map(curves))
+    details = itertools.chain(dt.draw_peaks(curves), dt.draw_amplitudes(curves), dt.draw_regimes(curves))
     yield section("Set-up and instruments", *cover.apparatus(done, content))
-    yield section("Transmissibility", keep(dt.by_frequency(curves, config), large=True))
+    yield section("Transmissibility", keep(dt.draw_all_gaps(curves, config), large=True))
     yield section("Reductions: the paper and this rig", *findings.reductions_table(done, content), keep(compared))
-    by_frequency = keep(dt.damper_by_frequency(curves, done.calibration))
+    by_frequency = keep(dt.draw_damper(curves, done.calibration))
     yield section("Effect of the damper according to DT", *findings.damper(done, content), by_frequency)
     yield section("The paper's statements", *findings.statements(done, content))
     yield section("Uncertainty of one transmissibility", *findings.uncertainty(done, content))
     yield section("Chosen constants, and the strength of each verdict", *findings.chosen(config, content))
     yield section("Sensitivity of the statements to the chosen constants", *findings.margins(varied, content))
-    yield section("Each gap next to the curve without sphere", keep(dt.figure_8(curves)))
+    yield section("Each gap next to the curve without sphere", keep(dt.draw_each_gap(curves)))
     yield section("Peak, amplitudes, regimes", keep(details))
     yield section("Stable and unstable motions of the model", keep(drawn))
     yield section("Motion", keep(_motions(done)))
@@ -186,7 +186,7 @@ def _motions(done: Finished) -> Iterator[Drawn]:
         at_resonance = point.reference and point.frequency_hz == FREQUENCY_HZ and point.gap_m != NO_SPHERE
         if at_resonance and done.outcomes[point.key].trace:
             shown.setdefault(point.gap_m, point)
-    for draw in (time_trace, phase_plane):
+    for draw in (draw_time_trace, draw_phase_plane):
         for gap, point in shown.items():
             yield draw(done.outcomes[point.key].trace, gap, point.frequency_hz)
 

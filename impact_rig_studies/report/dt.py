@@ -63,7 +63,7 @@ HEIGHT_INCH = 6.6
 FINE = 400  # number of frequencies at which a prediction is drawn
 
 
-def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+def draw_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     """Draw DT without the sphere over the frequency: measured, and the closed form of the configured rig."""
     points = curve(curves, NO_SPHERE)
     if not points:
@@ -81,7 +81,7 @@ def without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     yield Drawn("fig6_without_sphere", figure, caption, lines)
 
 
-def by_frequency(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     """Draw DT and phase of all gaps over the frequency, with predictions: the complete range, and near resonance.
 
     All measurements at the paper's current are drawn.
@@ -223,7 +223,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
 # --- What is left: by gap, and without the sphere against theory
 
 
-def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
+def draw_reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
     """Draw the measured reductions of DT at 9.1 Hz over the gap, next to the paper's."""
     ours, spread = reductions.percent(), reductions.percent_uncertainty
     if not ours:
@@ -250,7 +250,7 @@ def reductions_by_gap(reductions: Reductions) -> Iterator[Drawn]:
     yield Drawn("reductions", figure, caption, [Line("reduction at 9.1 Hz", numbers)])
 
 
-def differences(reductions: Reductions) -> Iterator[Drawn]:
+def draw_residuals(reductions: Reductions) -> Iterator[Drawn]:
     """Draw the measured reductions at 9.1 Hz minus the paper's over the gap, in percentage points."""
     errors, spread = reductions.errors(), reductions.percent_uncertainty
     if not errors:
@@ -266,7 +266,7 @@ def differences(reductions: Reductions) -> Iterator[Drawn]:
     yield Drawn("residuals", figure, caption, [Line("this rig less the paper", columns)])
 
 
-def errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
+def draw_errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     """Draw the differences of DT without the sphere from the closed form: the errors of the instruments."""
     points = curve(curves, NO_SPHERE)
     if not points:
@@ -341,7 +341,7 @@ def curve_numbers(gap_m: float, points: Sequence[Point]) -> Line:
     )
 
 
-def figure_8(curves: Curves) -> Iterator[Drawn]:
+def draw_each_gap(curves: Curves) -> Iterator[Drawn]:
     """Draw the paper's Fig. 8: for each of its gaps DT over the frequency, next to the curve without sphere."""
     without = curve(curves, NO_SPHERE)
     for letter, gap in zip(FIGURE_8, REDUCTION_PERCENT, strict=True):
@@ -366,7 +366,7 @@ def _title(gap_m: float) -> str:
     return f"{case_of(gap_m)}, {paper.CURRENT_A * 1e3:g} mA, measured ± 2u"
 
 
-def peaks(curves: Curves) -> Iterator[Drawn]:
+def draw_peaks(curves: Curves) -> Iterator[Drawn]:
     """Draw DT around 9.1 Hz on the grid of 0.01 Hz for each gap, with its peak marked."""
     figure, (axis,) = new_axes(3.4)
     lines: list[Line] = []
@@ -388,7 +388,7 @@ def peaks(curves: Curves) -> Iterator[Drawn]:
     yield Drawn("peaks", figure, caption, lines)
 
 
-def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
+def damper_effects(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
     """Return the sphere's added mass and loss factor by gap and frequency, if DT was measured with and without it."""
     found: dict[float, dict[float, Damper]] = {}
     for gap in curves.gaps():
@@ -399,9 +399,9 @@ def dampers(curves: Curves, calibration: Calibration) -> dict[float, dict[float,
     return found
 
 
-def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
+def draw_damper(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
     """Draw added mass and loss factor of the sphere over the frequency, one line per gap, ± 2u."""
-    found = {gap: own for gap, own in dampers(curves, calibration).items() if len(own) > 1}
+    found = {gap: own for gap, own in damper_effects(curves, calibration).items() if len(own) > 1}
     if not found:
         return
     figure, (upper, lower) = new_axes(4.8, (1.0, 1.0))
@@ -426,7 +426,7 @@ def damper_by_frequency(curves: Curves, calibration: Calibration) -> Iterator[Dr
     yield Drawn("damper", figure, caption, lines)
 
 
-def amplitudes(curves: Curves) -> Iterator[Drawn]:
+def draw_amplitudes(curves: Curves) -> Iterator[Drawn]:
     """Draw the amplitudes of superior and inferior base over the frequency, one line per gap.
 
     The figure shows why DT falls: the damper increases the motion of the inferior base.
@@ -456,7 +456,7 @@ def amplitudes(curves: Curves) -> Iterator[Drawn]:
     yield Drawn("amplitudes", figure, caption, lines)
 
 
-def regime_map(curves: Curves) -> Iterator[Drawn]:
+def draw_regimes(curves: Curves) -> Iterator[Drawn]:
     """Draw, for each gap and frequency, the regime of the response and the number of impacts per cycle."""
     cases = {gap: points for gap in REDUCTION_PERCENT if (points := curve(curves, gap))}
     if not cases:
@@ -500,7 +500,7 @@ CYCLES = 3  # drive cycles in a time trace
 DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the accelerometer keep every scan
 
 
-def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
+def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     """Draw the motion of superior base and sphere over a few cycles, with the accelerometer's signal.
 
     Args:
@@ -529,8 +529,8 @@ def time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     return Drawn(f"trace_gap_{gap_m * 1e3:g}mm", figure, caption, [Line("truth and laser", columns)])
 
 
-def phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the velocity of the sphere relative to the superior base over its position; arguments as in `time_trace`."""
+def draw_phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
+    """Draw the relative velocity of the sphere over its relative position; arguments as in `draw_time_trace`."""
     place = 1e3 * (np.asarray(trace["x_2"], float) - np.asarray(trace["x_1"], float))
     speed = np.asarray(trace["v_2"], float) - np.asarray(trace["v_1"], float)
     figure, (axis,) = new_axes()

@@ -30,7 +30,7 @@ from impact_rig_studies.campaign.results import Point
 from impact_rig_studies.campaign.run import Finished
 from impact_rig_studies.campaign.statements import Variation
 from impact_rig_studies.report.content import BUDGET_HEADINGS, Cell, Content, budget_rows, number, uncertain
-from impact_rig_studies.report.dt import dampers
+from impact_rig_studies.report.dt import damper_effects
 from impact_rig_studies.report.page import paragraph
 
 BUDGETED_GAP_M = 6e-3  # the case whose uncertainty is analysed, if it was measured
@@ -74,7 +74,7 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
 
     They follow from DT with and without the sphere, at the frequency for which the most gaps were measured.
     """
-    found = dampers(done.curves, done.calibration)
+    found = damper_effects(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
     if not counts:
         return

@@ -35,7 +35,7 @@ from decimal import Decimal
 import attrs
 
 from impact_rig.arithmetic.elementary import exp
-from impact_rig.arithmetic.precise import ONE, TWO, ZERO, precise
+from impact_rig.arithmetic.precise import ONE, TWO, ZERO, with_70_digits
 from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 _CLOSE = Decimal("1e-20")
@@ -45,7 +45,7 @@ is 4a²/9.
 """
 
 
-@precise
+@with_70_digits
 def realised(hysteresis_factor: float) -> float:
     """Return the restitution that a Hunt–Crossley contact really gives with the hysteresis factor `a` ≥ 0 [-].
 
@@ -60,7 +60,7 @@ def realised(hysteresis_factor: float) -> float:
     return _root(ONE / max(ONE, a), lambda e: _imbalance(a, e))
 
 
-@precise
+@with_70_digits
 def factor_returning(restitution: float) -> float:
     """Return the hysteresis factor `a` [-] with which a Hunt–Crossley contact really gives `restitution`.
 

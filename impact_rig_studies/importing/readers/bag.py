@@ -29,7 +29,7 @@ from typing import Any  # messages of types that a bag defines itself
 import numpy as np
 
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal, UniqueNames
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -81,7 +81,7 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
                     one.left_out = f"{connection.msgtype} cannot be decoded: {' '.join(str(error).split())[:120]}"
                 else:
                     one.add(message, log_ns)
-    allow_values(sum(one.values for one in series.values()), file_bytes)
+    check_value_count(sum(one.values for one in series.values()), file_bytes)
     signals: dict[str, Signal] = {}
     left_out: dict[str, str] = {}
     remarks: list[str] = []
@@ -108,7 +108,7 @@ def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
             signals[names.unique(name)] = Signal(
                 np.frombuffer(values, np.float64), one.units.get(field, ""), times, origin=f"{topic} ({kind})"
             )
-    allow_columns(len(signals))
+    check_column_count(len(signals))
     return ImportedSignals(path, "ROS bag", signals, start_ns, left_out=left_out, remarks=tuple(remarks))
 
 

@@ -30,7 +30,7 @@ from impact_rig.errors import RecordingError
 from impact_rig_studies.importing import cells, headings
 from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.encodings import decode, split_lines
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.readers import labview
 from impact_rig_studies.importing.signals import ImportedSignals, UniqueNames
 
@@ -86,7 +86,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     names, units, others = _headings(lines[: layout.first], layout)
     end = _end(lines, layout)
     trailing = [line for line in lines[end:] if line.strip()]
-    allow_values(float(end - layout.first) * layout.width, len(content))
+    check_value_count(float(end - layout.first) * layout.width, len(content))
     columns, skipped = read_rows(path, lines, layout, layout.first, end)
     named = {}
     for name, column in zip(names, columns, strict=True):
@@ -242,7 +242,7 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
             if not any(units) and at > 0 and headings.is_units_row(rows[at - 1][1]):
                 units = headings.unit_cells(rows[at - 1][1])
                 used.add(rows[at - 1][0])
-    allow_columns(width)
+    check_column_count(width)
     reserved = tuple({name for name in names if name})
     given: set[str] = set()
     later = UniqueNames(reserved)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.errors import RecordingError
-from impact_rig_studies.importing.limits import COLUMNS, allow_columns, allow_values
+from impact_rig_studies.importing.limits import COLUMNS, check_column_count, check_value_count
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 CHUNKS_AT_ONCE = 4096  # of a dataset; the library takes about 2 kB for each chunk of one request
@@ -80,7 +80,7 @@ class Hdf5Tree:
         if dataset.is_virtual:
             raise RecordingError(f"{name} is a view of other datasets, which are not opened")
         self._values += int(dataset.size or 0)
-        allow_values(self._values, self.file_bytes)
+        check_value_count(self._values, self.file_bytes)
         if dataset.shape is None:
             self.left_out[name] = "empty"
             return None
@@ -94,7 +94,7 @@ class Hdf5Tree:
         """
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()
-        allow_columns(len(words))
+        check_column_count(len(words))
         return [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in words]
 
 

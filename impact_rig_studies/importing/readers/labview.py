@@ -28,7 +28,7 @@ import numpy as np
 from impact_rig.errors import RecordingError
 from impact_rig_studies.importing import cells
 from impact_rig_studies.importing.encodings import decode, split_lines
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.signals import (
     Abscissa,
     AbscissaKind,
@@ -117,8 +117,8 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     head = segments[0]
     has_multiple_x = general.get("X_Columns", "One").lower().startswith("multi")
     width = len(head.names)
-    allow_columns(width)
-    allow_values(sum(len(one.rows) for one in segments) * width, sum(map(len, lines)))
+    check_column_count(width)
+    check_value_count(sum(len(one.rows) for one in segments) * width, sum(map(len, lines)))
     names = UniqueNames()
     signals: dict[str, Signal] = {}
     channel = 0

@@ -25,7 +25,7 @@ import numpy as np
 from impact_rig.errors import RecordingError
 from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.headings import is_time_name, rate_hz
-from impact_rig_studies.importing.limits import COLUMNS, allow_columns
+from impact_rig_studies.importing.limits import COLUMNS, check_column_count
 from impact_rig_studies.importing.readers import hdf5
 from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames, reasons
 
@@ -99,7 +99,7 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
             left_out[shown] = "a struct nested too deeply"
             return
         elements = array.reshape(-1)
-        allow_columns(len(elements) * len(names))
+        check_column_count(len(elements) * len(names))
         for number, element in enumerate(elements):
             place = shown if len(elements) == 1 else f"{shown}({number + 1})"
             for field in names:

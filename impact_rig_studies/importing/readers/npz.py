@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from impact_rig.errors import RecordingError
 from impact_rig_studies.importing.columns import signals_of
-from impact_rig_studies.importing.limits import allow_bytes, allow_columns
+from impact_rig_studies.importing.limits import check_column_count, check_expanded_bytes
 from impact_rig_studies.importing.signals import ImportedSignals
 
 
@@ -42,8 +42,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     left_out: dict[str, str] = {}
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = archive.infolist()
-        allow_columns(len(members))
-        allow_bytes(sum(one.file_size for one in members), len(content))
+        check_column_count(len(members))
+        check_expanded_bytes(sum(one.file_size for one in members), len(content))
         for member in members:
             name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:

@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any  # columns of pyarrow
 
 from impact_rig_studies.importing.columns import signals_of
-from impact_rig_studies.importing.limits import allow_bytes, allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_expanded_bytes, check_value_count
 from impact_rig_studies.importing.signals import ImportedSignals
 
 
@@ -40,10 +40,10 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         BudgetError: the content is larger than a file of this size may contain.
     """
     file = library.ParquetFile(io.BytesIO(content))
-    allow_columns(file.metadata.num_columns)
-    allow_values(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
+    check_column_count(file.metadata.num_columns)
+    check_value_count(float(file.metadata.num_rows) * file.metadata.num_columns, len(content))
     groups = range(file.metadata.num_row_groups)
-    allow_bytes(sum(file.metadata.row_group(number).total_byte_size for number in groups), len(content))
+    check_expanded_bytes(sum(file.metadata.row_group(number).total_byte_size for number in groups), len(content))
     table = file.read(use_threads=False)
     units = {
         field.name: (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for field in file.schema_arrow

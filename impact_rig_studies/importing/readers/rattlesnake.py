@@ -25,7 +25,7 @@ from types import ModuleType
 import numpy as np
 
 from impact_rig.errors import RecordingError
-from impact_rig_studies.importing.limits import allow_columns
+from impact_rig_studies.importing.limits import check_column_count
 from impact_rig_studies.importing.readers.hdf5 import Hdf5Tree, attribute
 from impact_rig_studies.importing.signals import ImportedSignals, Signal, UniqueNames, even_times
 
@@ -66,7 +66,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             if values is None:
                 continue
             rows = np.atleast_2d(values.astype(np.float64))
-            allow_columns(len(rows))
+            check_column_count(len(rows))
             words = {
                 key: texts if len(texts) == len(rows) else [""] * len(rows)
                 for key in ("comment", "node_number", "node_direction", "unit")

@@ -24,7 +24,7 @@ import numpy as np
 
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.importing import headings, units
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.signals import (
     NO_ABSCISSA,
     Abscissa,
@@ -49,8 +49,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """
     file = library.TdmsFile.read_metadata(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels()]
-    allow_columns(len(channels))
-    allow_values(sum(len(channel) for channel in channels), len(content))
+    check_column_count(len(channels))
+    check_value_count(sum(len(channel) for channel in channels), len(content))
     file = library.TdmsFile.read(io.BytesIO(content))
     left_out: dict[str, str] = {}
     signals: dict[str, Signal] = {}

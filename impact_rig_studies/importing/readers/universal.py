@@ -24,7 +24,7 @@ import numpy as np
 
 from impact_rig.errors import RecordingError
 from impact_rig_studies.importing import units
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.signals import (
     Abscissa,
     AbscissaKind,
@@ -66,7 +66,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         named.write_bytes(content)
         file = library.UFF(str(named))
         types = [int(kind) for kind in file.get_set_types()]
-        allow_columns(len(types))
+        check_column_count(len(types))
         left_out: dict[str, str] = {}
         if not content.rstrip().endswith(b"-1"):
             left_out["end of the file"] = "the line -1 that ends a dataset is missing, the file may be cut off"
@@ -89,7 +89,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
                 continue
             data = np.asarray(one["data"])
             total += data.size
-            allow_values(total, len(content))
+            check_value_count(total, len(content))
             _add(one, data, number, system, signals, names, left_out)
     if not signals:
         raise RecordingError(f"{path} holds no time response (dataset 58, function type 1): {reasons(left_out)}")

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rig.errors import RecordingError
-from impact_rig_studies.importing.limits import allow_columns, allow_values
+from impact_rig_studies.importing.limits import check_column_count, check_value_count
 from impact_rig_studies.importing.signals import ImportedSignals, Real, Signal, even_times
 
 PCM, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
@@ -60,9 +60,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         raise RecordingError(
             f"{path}: a WAV file of floating point with {bits} bits a sample; only 32 and 64 can be read"
         )
-    allow_columns(channels)
+    check_column_count(channels)
     count = len(data) // block
-    allow_values(count * channels, len(content))
+    check_value_count(count * channels, len(content))
     values = _samples(data[: count * block], order, code, width, bits).reshape(count, channels)
     signals = {
         f"channel_{j}": Signal(

@@ -28,7 +28,7 @@ from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.client.client import ros_parameters
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import TOPICS
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from impact_rig.nodes.rig_node import RigNode
 
 pytestmark = pytest.mark.ros
@@ -54,7 +54,7 @@ def frames_of_a_rig(client: Client, prefix: str = "") -> dict[str, set[str]]:
         cli_args=OWN_CLOCK,
     )
     client.host(AnalysisNode, parameter_overrides=ros_parameters({"use_sim_time": True}), cli_args=OWN_CLOCK)
-    plot = client.host(PlotNode, parameter_overrides=ros_parameters({"use_sim_time": True}), cli_args=OWN_CLOCK)
+    plot = client.host(PlotDataNode, parameter_overrides=ros_parameters({"use_sim_time": True}), cli_args=OWN_CLOCK)
     collectors = [client.collect(name) for name in FRAMED]
     client.wait_active("rig", "analysis", "plot")
     client.wait_until(lambda: plot.doing().word == "plotting", "the scans")

@@ -29,7 +29,7 @@ from impact_rig.analysis.sine import fit_sine
 from impact_rig.client import Client, Collector, isolated_domain
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.messages import ENVELOPES, SPECTRA, TOPICS, nanoseconds
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from impact_rig.simtime import NS_PER_S
 
 pytestmark = pytest.mark.ros
@@ -42,7 +42,7 @@ def plotted() -> Iterator[tuple[Client, dict[str, Collector], Collector]]:
     """Rig in lockstep at resonance without the sphere; a plotter receives 6 s of it."""
     with isolated_domain() as domain_id, Client(domain_id) as client:
         client.host(AnalysisNode)
-        plot = client.host(PlotNode)
+        plot = client.host(PlotDataNode)
         host_rig(
             client,
             time__peers=["analysis"],

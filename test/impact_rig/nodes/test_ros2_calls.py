@@ -25,7 +25,7 @@ from kits.nodes import host_rig
 
 from impact_rig.client import Client
 from impact_rig.nodes.analysis_node import AnalysisNode
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from qualification import ros2_calls
 from qualification.ros2_calls import Calls
 
@@ -42,7 +42,7 @@ def test_every_topic_can_be_renamed() -> None:
 def test_topics_services_parameters_and_states_answer_as_documented(client: Client, tmp_path: Path) -> None:
     host_rig(client)
     client.host(AnalysisNode)
-    client.host(PlotNode)
+    client.host(PlotDataNode)
     client.wait_active("rig", "analysis", "plot")
     calls = Calls()
     ros2_calls.topics(calls, client)

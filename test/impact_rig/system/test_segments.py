@@ -42,13 +42,13 @@ def test_only_a_segment_unfinished_at_two_checks_is_marked(tmp_path: Path, libra
     for name in others:
         (tmp_path / name).touch()
     (tmp_path / f"{library}_port5").symlink_to(tmp_path / "another")
-    before = segments.mark_half_created(tmp_path, set())
+    before = segments.invalidate_abandoned_segments(tmp_path, set())
     assert {name for name, _ in before} == {f"{library}_port1", f"{library}_port2", f"{library}_port3"}
     assert (tmp_path / f"{library}_port1").stat().st_size == 0, "it may be being made"
     (tmp_path / f"{library}_port2").write_bytes(contents["port4"])  # it was
     (tmp_path / "new").write_bytes(b"")
     Path(tmp_path / "new").replace(tmp_path / f"{library}_port3")  # another one
-    segments.mark_half_created(tmp_path, before)
+    segments.invalidate_abandoned_segments(tmp_path, before)
     assert word(tmp_path / f"{library}_port1") == 3
     assert (tmp_path / f"{library}_port1").stat().st_size > 4
     assert word(tmp_path / f"{library}_port2") == word(tmp_path / f"{library}_port4") == 2

@@ -40,7 +40,7 @@ from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
 from impact_rig.nodes.messages import TOPICS
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig_studies.stepped_sine_node import SteppedSineNode
 
@@ -107,7 +107,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, di
             "rig": host_rig(client),
             "analysis": client.host(AnalysisNode),
             "recorder": client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": directory})),
-            "plot": client.host(PlotNode),
+            "plot": client.host(PlotDataNode),
             "stepped_sine": client.host(SteppedSineNode, parameter_overrides=ros_parameters({"hold": "phase"})),
         }
         client.wait_active(*nodes)

@@ -35,7 +35,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.analysis_node import AnalysisNode
 from impact_rig.nodes.managed import ManagedNode
-from impact_rig.nodes.plot_node import PlotNode
+from impact_rig.nodes.plot_node import PlotDataNode
 from impact_rig.nodes.recorder_node import RecorderNode
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import RunWriter
@@ -43,7 +43,7 @@ from impact_rig_studies.stepped_sine_node import SteppedSineNode
 
 pytestmark = pytest.mark.ros
 NODES: dict[str, type[ManagedNode[Any]]] = {
-    "rig": RigNode, "analysis": AnalysisNode, "recorder": RecorderNode, "plot": PlotNode,
+    "rig": RigNode, "analysis": AnalysisNode, "recorder": RecorderNode, "plot": PlotDataNode,
     "stepped_sine": SteppedSineNode,
 }  # fmt: skip
 

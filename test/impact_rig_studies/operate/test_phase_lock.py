@@ -35,9 +35,9 @@ from impact_rig_studies.operate.phase_lock import (
     Sample,
     Stage,
     follow,
-    lock_on,
     mean,
     measure_backbone,
+    run_phase_lock,
 )
 from impact_rig_studies.operate.plans import LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import SweepState
@@ -77,7 +77,7 @@ class Resonance:
 @pytest.mark.parametrize("zeta", [0.002, 0.0045, 0.02])
 def test_a_resonance_is_found_and_held(reference, start_hz, zeta):
     plan = attrs.evolve(PLAN, start_hz=start_hz, reference=reference)
-    lock = lock_on(plan, Resonance(zeta))
+    lock = run_phase_lock(plan, Resonance(zeta))
     assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(9.105 / math.sqrt(1.0 - 4.0 * zeta**2), abs=0.003)
     assert math.degrees(lock.rows["phase"][-1]) == pytest.approx(-90.0, abs=0.5)
@@ -97,7 +97,7 @@ def test_a_transient_at_an_end_of_the_range_is_not_taken_for_a_resonance(start_h
             return found._replace(superior=found.base * turned) if self.now < 6 * NS_PER_S else found
 
     plan = attrs.evolve(PLAN, start_hz=start_hz, low_hz=low_hz, high_hz=high_hz, reference=Reference.CURRENT)
-    lock = lock_on(plan, Ringing())
+    lock = run_phase_lock(plan, Ringing())
     assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
@@ -111,7 +111,7 @@ def test_the_lock_works_with_delayed_commands(sample_s, command_s):
             self.now += round(command_s * NS_PER_S)
             return super().sample(seconds)
 
-    lock = lock_on(attrs.evolve(PLAN, sample_s=sample_s), Late())
+    lock = run_phase_lock(attrs.evolve(PLAN, sample_s=sample_s), Late())
     assert lock.state is SweepState.FINISHED, lock.reason
     assert lock.frequency_hz == pytest.approx(TRUE_HZ, abs=0.003)
 
@@ -137,7 +137,7 @@ def test_the_lock_follows_a_moving_resonance():
     ],
 )
 def test_an_aborted_lock_reports_the_reason_and_sets_the_current_to_zero(bench, changes, words):
-    lock = lock_on(attrs.evolve(PLAN, **changes), bench)
+    lock = run_phase_lock(attrs.evolve(PLAN, **changes), bench)
     assert lock.state is SweepState.ABORTED
     assert words in lock.reason
     assert bench.setpoint.current_a == 0.0
@@ -146,7 +146,7 @@ def test_an_aborted_lock_reports_the_reason_and_sets_the_current_to_zero(bench, 
 def test_a_base_at_rest_is_not_used_as_a_reference():
     bench = Resonance()
     bench.still = True
-    assert "no phase can be measured" in lock_on(PLAN, bench).reason
+    assert "no phase can be measured" in run_phase_lock(PLAN, bench).reason
 
 
 def test_a_lost_lock_ends_after_a_timeout():
@@ -190,7 +190,7 @@ def linear() -> RigConfig:
 
 @pytest.fixture(scope="module")
 def locked() -> PhaseLock:
-    return lock_on(PLAN, local(linear()))
+    return run_phase_lock(PLAN, local(linear()))
 
 
 def test_the_lock_on_the_linear_rig_is_at_the_true_quarter_cycle(locked):
@@ -215,7 +215,7 @@ def test_a_locked_stretch_states_its_uncertainty(locked):
 
 
 def test_a_lock_is_reproducible_bit_for_bit(locked):
-    again = lock_on(PLAN, local(linear()))
+    again = run_phase_lock(PLAN, local(linear()))
     assert again.rows.tobytes() == locked.rows.tobytes()
 
 
@@ -236,7 +236,7 @@ def test_the_lock_recovers_after_a_change_of_the_gap():
 
 def test_a_trip_ends_the_lock():
     rig = local(from_flat(linear(), {"shaker.travel_limit_m": 1e-5}))
-    lock = lock_on(PLAN, rig)
+    lock = run_phase_lock(PLAN, rig)
     assert lock.reason.startswith("the rig tripped")
 
 

@@ -388,7 +388,7 @@ def drawable(**changes):
 def test_points_without_counted_impacts_are_not_drawn_as_free_of_impacts(monkeypatch, impacts, shade, text):
     """A measurement without an accelerometer must not be drawn as one without impacts, with nan of them."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
-    (figure,) = dt.regime_map(drawable(impacts_per_cycle=impacts))
+    (figure,) = dt.draw_regimes(drawable(impacts_per_cycle=impacts))
     (axis,) = figure.axes
     colours = {to_hex(one.get_facecolor()[0]) for one in axis.collections[: len(paper.FREQUENCIES_HZ)]}
     assert to_hex(shade) in colours
@@ -399,7 +399,7 @@ def test_points_without_counted_impacts_are_not_drawn_as_free_of_impacts(monkeyp
 def test_phases_on_both_sides_of_half_a_turn_are_visible_in_the_figure(monkeypatch):
     """A point that noise has turned into a lead of 179° must not be invisible above the axis."""
     monkeypatch.setattr(dt, "Drawn", lambda _, figure, *__: figure)
-    for figure in dt.by_frequency(drawable(phase=np.pi - 0.01), RigConfig()):
+    for figure in dt.draw_all_gaps(drawable(phase=np.pi - 0.01), RigConfig()):
         axis = figure.axes[2]
         low, high = axis.get_ylim()
         drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axis.lines])

@@ -80,7 +80,7 @@ def test_the_legend_lists_each_case_once_and_labels_are_within_the_figure(done, 
     figures = []
     monkeypatch.setattr(dt, "Drawn", lambda _name, figure, _caption, _lines: figures.append(figure))
     with style():
-        for draw in (dt.damper_by_frequency(done.curves, done.calibration), dt.amplitudes(done.curves)):
+        for draw in (dt.draw_damper(done.curves, done.calibration), dt.draw_amplitudes(done.curves)):
             list(draw)
         for figure, cases in zip(figures, (["6 mm"], ["no sphere", "6 mm"]), strict=True):
             figure.canvas.draw()
