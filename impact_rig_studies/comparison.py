@@ -83,15 +83,12 @@ SCANS = 20_000_000  # limit for a compared run
 
 @attrs.frozen
 class ComparedPoint:
-    """Measurement at one gap and frequency, and that of the model for the same drive.
-
-    Both are rows of `transmissibility/table`; `model` is None if the model did not settle. `gap_m` is NaN if unknown.
-    """
+    """Measurement at one gap and frequency, and that of the model for the same drive."""
 
     gap_m: float  # label, NaN if unknown
     frequency_hz: float  # of the drive
     measured: np.void  # row of `transmissibility/table`
-    model: np.void | None  # row of the model; None if it did not settle
+    model: np.void | None  # row of the model, likewise; None if it did not settle
     more: np.void | None
     """Row of the model with a drive larger by one standard uncertainty of the gain of the drive's sensor.
 
@@ -118,12 +115,7 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """Result of `compare`: a measured run, and the model with the same drive.
-
-    `driven_by` is `current` or `base`, and `config` the model's configuration. `places` are ascending by gap and
-    frequency. `excerpt` is the last settled measurement, with its sensors' lags corrected, and `model` has the model's
-    scans at the same times. `missing` names what a requested fit needs and the run does not have.
-    """
+    """Result of `compare`: a measured run, and the model with the same drive."""
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # configuration of the model

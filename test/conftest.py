@@ -59,17 +59,10 @@ LONGEST_FILES = (
     "test_import_runs", "test_live_comparison", "test_measurement", "test_dynamics", "test_extending", "test_figures",
     "test_three_processes", "test_examples", "test_demo", "test_report", "test_fuzz", "test_verification",
     "test_resources", "test_site", "test_environment", "test_coverage_of_uncertainties", "test_platforms", "test_ros",
-    "test_plugin", "test_generated_recordings", "test_drawings", "test_ended_node", "test_hostile_names",
-    "test_dask", "test_accessibility", "test_guide", "test_plain_python", "test_signals", "test_stop",
-    "test_foreign_names", "test_core_alone", "test_hostile", "test_replay", "test_playback_page", "test_recovery",
-    "test_endings", "test_map", "test_schedule", "test_comparison", "test_killed_recorder", "test_killed_rig",
-    "test_recorder_node", "test_motion_samples", "test_names", "test_gateway", "test_local_rig", "test_record",
-    "test_hostile_recordings", "test_security", "test_digests", "test_reach", "test_command", "test_notebook",
-    "test_website", "test_stream", "test_wild_parameters", "test_hardware", "test_daqmx",
 )  # fmt: skip
-"""Files that take more than about 8 s on a busy machine, by `--durations=0`, the longest first. They begin in this
-order: a worker takes whole files, and one that begins a long file last makes the other wait for it. A shuffle mixes
-them among themselves, and the others behind them."""
+"""Longest files by `--durations=0`, the longest first. They begin in this order: a worker takes whole files, and one
+that begins a long file last makes the other wait for it. A shuffle mixes them among themselves, and the others behind
+them."""
 GRACE_S = 5.0  # how long a thread or process may take to end after its test
 
 # before any module imports a message class or starts a node, and inherited by the processes that tests start

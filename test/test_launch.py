@@ -200,8 +200,8 @@ def test_the_end_of_a_required_node_or_of_the_launcher_ends_all_nodes() -> None:
 def test_frames_follow_the_effective_namespace(pushed: str, namespace: str, given: str, prefix: str) -> None:
     started = nodes(RIG, pushed_namespace=pushed, namespace=namespace, frame_prefix=given, state_publisher="true")
     assert parameters(started["robot_state_publisher"])["frame_prefix"] == prefix
-    told = parameters(started["rig"]).get("output.frame_prefix")
-    assert told == {"auto": None, "": "/"}.get(given, given), "by itself the node follows its namespace"
+    prefix = parameters(started["rig"]).get("output.frame_prefix")
+    assert prefix == {"auto": None, "": "/"}.get(given, given), "by itself the node follows its namespace"
 
 
 def test_rviz_and_tf_start_on_request_and_agree_on_frames() -> None:

@@ -528,8 +528,8 @@ class RigDriver(abc.ABC):
         return Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)
 
     def _faults_so_far(self) -> str:
-        begun = [str(fault) for fault in self.faults if fault.start_sample < self.sample]
-        return f"faults: {'; '.join(begun)}" if begun else "no faults"
+        started = [str(fault) for fault in self.faults if fault.start_sample < self.sample]
+        return f"faults: {'; '.join(started)}" if started else "no faults"
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:

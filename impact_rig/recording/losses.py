@@ -67,7 +67,7 @@ class PublisherStream:
 @attrs.define
 class _Topic:
     streams: list[PublisherStream] = attrs.field(factory=list)
-    begun: int = 0  # number of streams, including dropped ones
+    count: int = 0  # number of streams, including dropped ones
     known: dict[str, str] = attrs.field(factory=dict)  # publishers seen in the graph so far
     unnumbered: int = 0
     forgotten: PublisherStream | None = None  # sum of the dropped streams
@@ -120,13 +120,13 @@ class Account:
         new = [name for identifier, name in present.items() if identifier not in known.known]
         known.known |= present
         earlier = [stream for stream in known.streams if stream.newest < sequence]
-        if earlier and known.begun >= max(len(known.known), 1):
+        if earlier and known.count >= max(len(known.known), 1):
             stream = max(earlier, key=lambda one: one.newest)
             stream.take(sequence)
             return stream.publisher
         stream = PublisherStream(new[0] if len(new) == 1 else "", sequence, sequence)
         known.streams.append(stream)
-        known.begun += 1
+        known.count += 1
         if len(known.streams) > MAX_STREAMS:
             gone, before = known.streams.pop(0), known.forgotten or PublisherStream("", 0, 0, 0)
             known.forgotten = PublisherStream("", 0, 0, before.received + gone.received, before.lost + gone.lost)

@@ -745,7 +745,7 @@ class McapSource:
     def _outside_chunks(self) -> Iterator[Segment]:
         """Yield segments of consecutive messages in a file without chunks, by reading the heads of all its records."""
         position, view, base = len(records.MAGIC), b"", 0
-        begun = ended = 0
+        start = ended = 0
         times: list[int] = []
         channels: set[int] = set()
         while True:
@@ -758,9 +758,9 @@ class McapSource:
             if end > self.size:
                 left = self.size - position - records.RECORD_HEAD.size
                 raise DamageError(f"the record at byte {position} states {length} bytes, only {left} are left")
-            if times and (opcode == records.DATA_END or end - begun > SEGMENT_BYTES):
-                size = ended - begun
-                yield Segment(begun, size, min(times), max(times), size, frozenset(channels), chunk=None)
+            if times and (opcode == records.DATA_END or end - start > SEGMENT_BYTES):
+                size = ended - start
+                yield Segment(start, size, min(times), max(times), size, frozenset(channels), chunk=None)
                 times, channels = [], set()
             if opcode == records.DATA_END:
                 return
@@ -768,7 +768,7 @@ class McapSource:
                 if length < records.MESSAGE_HEAD.size - records.RECORD_HEAD.size:
                     raise DamageError(f"the message at byte {position} is too short")
                 _, _, channel, _, log_time, _ = records.MESSAGE_HEAD.unpack_from(view, position - base)
-                begun, ended = begun if times else position, end
+                start, ended = start if times else position, end
                 times.append(log_time)
                 channels.add(channel)
             position = end

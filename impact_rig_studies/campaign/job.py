@@ -61,22 +61,17 @@ TRACE_BLOCKS = 2  # number of blocks kept as a trace after the last measurement
 
 @attrs.frozen(kw_only=True)
 class Job:
-    """Definition of one run that starts with a reset rig: configuration, drive frequencies and current.
-
-    `changes` are the configuration values that differ from the default rig, by dotted name. `gap_m` is the operator's
-    label for the analysis. `repetitions` is the number of settled measurements per frequency. With `traces`, scans and
-    true motion are kept after the last one.
-    """
+    """Definition of one run that starts with a reset rig: configuration, drive frequencies and current."""
 
     changes: Mapping[str, Value]  # configuration values that differ from the default rig, by dotted name
     analysis: Mapping[str, Value] = attrs.field(factory=dict)
     """Settings of the analysis that differ from the defaults of `TrackerSettings`."""
-    gap_m: float  # operator's label: gap, or `NO_SPHERE`
+    gap_m: float  # operator's label for the analysis: gap, or `NO_SPHERE`
     frequencies_hz: tuple[float, ...]
     direction: Direction = Direction.UP  # order of the points
     current_a: float  # peak current
-    repetitions: int = 1  # settled measurements per point, one after the other
-    traces: bool = False  # whether to keep scans and truth after the last measurement
+    repetitions: int = 1  # settled measurements per frequency, one after the other
+    traces: bool = False  # whether to keep scans and true motion after the last measurement
 
     def config(self) -> RigConfig:
         """Return the configuration of the rig, with blocks of a quarter of a second (`UPDATES_PER_S`), or shorter.
@@ -137,18 +132,14 @@ class Job:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Outcome:
-    """Result of measuring a job: its measurements, and in `failure` why it did not finish; empty if it did.
-
-    `skipped_hz` are frequencies without a measurement because a sensor was over range. `lost_scans` never reached the
-    analysis. `simulated_s` is the duration in rig time, `wall_s` by the clock of this machine.
-    """
+    """Result of measuring a job: its measurements, and why it failed if it did."""
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
     """Measurements that the sweep accepted, in their order: rows of `transmissibility/table`."""
     failure: str = ""  # why the run did not finish; empty otherwise
-    skipped_hz: tuple[float, ...] = ()  # points skipped because a sensor was over range
-    simulated_s: float = 0.0
-    wall_s: float = 0.0
+    skipped_hz: tuple[float, ...] = ()  # frequencies without a measurement because a sensor was over range
+    simulated_s: float = 0.0  # duration in rig time
+    wall_s: float = 0.0  # duration by the clock of this machine
     lost_scans: int = 0  # scans that never reached the analysis
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
     """Scans and true motion at the end of the run, one array per column by name; empty unless the job requests them."""

@@ -56,14 +56,10 @@ DEMO_POINTS_LIMIT = 3.0  # the same for the demo, which measures each case twice
 
 @attrs.frozen
 class Reductions:
-    """Reductions of the transmissibility DT by gap [m], compared with the run without the sphere.
-
-    `dt` and `dt_uncertainty` are DT and its standard uncertainty by gap; in the second, the key `NO_SPHERE` means the
-    run without the sphere.
-    """
+    """Reductions of the transmissibility DT by gap [m], compared with the run without the sphere."""
 
     dt_no_sphere: float  # transmissibility without the sphere
-    dt: Mapping[float, float]
+    dt: Mapping[float, float]  # DT by gap
     dt_uncertainty: Mapping[float, float]  # standard uncertainty of DT by gap; key `NO_SPHERE`: without the sphere
     percent_uncertainty: Mapping[float, float]
     """Standard uncertainty of the reduction (`percent`) in percentage points, by gap [m]."""

@@ -61,18 +61,14 @@ OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.from
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured.
-
-    A gap of `NO_SPHERE` means without the sphere. `direction` is `reset` if the rig is reset before each frequency, or
-    the order of a sweep that keeps its state. `repetitions` is the number of measurements per frequency.
-    """
+    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured."""
 
     name: str
     frequencies_hz: tuple[float, ...]
-    gaps_m: tuple[float, ...]
+    gaps_m: tuple[float, ...]  # `NO_SPHERE`: without the sphere
     currents_a: tuple[float, ...] = (CURRENT_A,)
-    direction: str = RESET
-    repetitions: int = 1
+    direction: str = RESET  # `reset` before each frequency, or the order of a sweep that keeps the rig's state
+    repetitions: int = 1  # number of measurements per frequency
     traces: bool = False
     vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
     """Values of the study's other axes, by dotted name of the configuration value that varies."""
@@ -86,31 +82,23 @@ class Study:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """Job of a campaign, with its study, and its values of the study's axes other than frequency, gap and current.
-
-    `axes` has these values by the dotted name of the configuration value. `reference` states whether the job's rig is
-    the reference rig, for which the paper's statements are judged.
-    """
+    """Job of a campaign, with its study, and its values of the study's axes other than frequency, gap and current."""
 
     study: str
     job: Job
-    axes: Mapping[str, Value]  # values of the study's axes other than frequency, gap and current, by dotted name
-    reference: bool  # whether the job belongs to the campaign's reference rig, for which the statements are judged
+    axes: Mapping[str, Value]  # these values by the dotted name of the configuration value
+    reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Campaign:
-    """Content of a validated campaign file: the rig, the settings of the analysis, and the studies.
-
-    `base` is the rig that all studies start with, `analysis` the settings that differ from the default, `text` the
-    file. The first combination of the study `first` is the reference rig; None means the first of `studies`.
-    """
+    """Content of a validated campaign file: the rig, the settings of the analysis, and the studies."""
 
     title: str
     base: RigConfig  # rig that all studies start with
     analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
     studies: tuple[Study, ...]
-    text: str
+    text: str  # content of the file
     first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:

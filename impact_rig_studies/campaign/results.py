@@ -44,21 +44,17 @@ IMPACTING = 0.1
 
 @attrs.frozen(eq=False, kw_only=True)
 class Point:
-    """Measurement at one frequency; values that were not measured are NaN.
-
-    `rows` are the settled measurements, or the one that did not settle: rows of `transmissibility/table`. `failure` is
-    the reason why there is no settled one, else empty. `gap_m` may be `NO_SPHERE`. `key` is that of the job that
-    measured it. `reference` states whether its rig is the reference rig, for which the paper's statements are judged.
-    """
+    """Measurement at one frequency; values that were not measured are NaN."""
 
     study: str
     axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current
-    reference: bool  # whether it belongs to the campaign's reference rig
+    reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
     gap_m: float  # gap, or `NO_SPHERE`
     current_a: float
     frequency_hz: float
     direction: str  # reset, up or down
-    rows: NDArray[np.void]  # settled measurements, or the one that did not settle, shape (n,)
+    rows: NDArray[np.void]
+    """Settled measurements, or the one that did not settle: rows of `transmissibility/table`, shape (n,)."""
     failure: str  # why there is no settled measurement; empty otherwise
     key: str  # key of the job that measured it
 

@@ -66,15 +66,12 @@ Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
 
 @attrs.frozen(eq=False, kw_only=True)
 class Finished:
-    """Campaign with the results that are stored in its directory; it may be incomplete.
-
-    `points` has each point of each job with a stored result. `outcomes` has their results by the key of the job.
-    """
+    """Campaign with the results that are stored in its directory; it may be incomplete."""
 
     campaign: Campaign  # definition of the campaign
     directory: Path
-    points: list[Point]  # every point of every job that was run
-    outcomes: dict[str, Outcome]  # outcome by job key
+    points: list[Point]  # every point of every job with a stored result
+    outcomes: dict[str, Outcome]  # results of these jobs by job key
 
     @property
     def curves(self) -> Curves:

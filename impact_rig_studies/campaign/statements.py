@@ -46,11 +46,7 @@ GAPS_M = tuple(REDUCTION_PERCENT)
 
 
 class Worth(enum.StrEnum):
-    """Strength of the evidence for a statement, with regard to the constants that were chosen for the rig.
-
-    `FIT`: it holds for these constants, and others would break it. `FOLLOWS`: it repeats what they were fitted to.
-    `PREDICTION`: no variation of them breaks it.
-    """
+    """Strength of the evidence for a statement, with regard to the constants that were chosen for the rig."""
 
     FIT = "fit"  # it holds for the chosen constants; others would break it (`margins`)
     FOLLOWS = "follows from the fit"  # it repeats what was fitted: the natural frequency, or the five reductions
@@ -63,17 +59,13 @@ class MissingError(LookupError):
 
 @attrs.frozen
 class Verdict:
-    """Verdict on one of the paper's statements, with the figures behind it.
-
-    `result` is None if points that it needs are missing; `detail` then names them. `kind` is the strength of the
-    evidence, `unit` that of the value and the limit in `result`, `name` the key in `summary.json`.
-    """
+    """Verdict on one of the paper's statements, with the figures behind it."""
 
     name: str  # key in `summary.json`
     text: str
     kind: Worth  # how strong the evidence is
-    result: Statement | None  # the judgement; None if it could not be made
-    detail: str  # the underlying figures, or what is missing
+    result: Statement | None  # the judgement; None if points that it needs are missing
+    detail: str  # the underlying figures, or the missing points
     unit: str  # unit of value and limit of the judgement
 
     @property

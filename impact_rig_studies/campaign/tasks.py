@@ -86,15 +86,11 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 @attrs.frozen
 class TaskStore(Generic[T]):
-    """Store of the results of a study's tasks in the study's directory.
-
-    `what` is the command of the study, such as `map`, and the name of its file there. `folder` receives a file for each
-    task. `rooms` are packages whose code determines the results, in addition to `DECIDING`.
-    """
+    """Store of the results of a study's tasks in the study's directory."""
 
     directory: Path
-    what: str  # word for the kind of study in messages and commands, and name of the file that defines it
-    folder: str  # name of the folder with the files of the tasks
+    what: str  # command of the study, such as `map`, and name of the file that defines it
+    folder: str  # name of the folder with a file for each task
     rooms: tuple[str, ...]  # packages whose code determines the results, in addition to `DECIDING`
 
     @property

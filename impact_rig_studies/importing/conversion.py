@@ -49,22 +49,16 @@ FREQUENCY_HZ = 10_000  # means of neighbours represent faster scans: a fit of a 
 
 @attrs.frozen(eq=False)
 class ImportedRun:
-    """Content of an imported file, converted to what a run contains.
-
-    `index` has the number of each scan in `rows`, counted from the instant `start_ns`, with gaps where scans are
-    missing. `drive` has an instant [ns], a frequency [Hz] and an amplitude [`amplitude_unit`] for each command.
-    `labels` are remarks for the run, among them the gaps. `estimated` names, by channel, the columns of `info` that
-    were found in the data and not stated. `doubts` are assumptions that the user should confirm.
-    """
+    """Content of an imported file, converted to what a run contains."""
 
     source: ImportedSignals  # what was read
     mapping: Mapping  # mapping that was used
     rate_hz: Rate  # scans per second
     start_ns: int  # instant from which `index` counts, in most cases the stamp of the first scan
-    index: NDArray[np.int64]  # number of each scan, with gaps for losses; shape (n,)
+    index: NDArray[np.int64]  # number of each scan in `rows`, with gaps where scans are missing; shape (n,)
     rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
-    drive: tuple[tuple[int, float, float], ...]  # instants [ns], frequencies [Hz] and amplitudes [A] commanded
+    drive: tuple[tuple[int, float, float], ...]  # commands: instant [ns], frequency [Hz], amplitude
     labels: tuple[str, ...]  # remarks for the topic `notes`, among them the labels of the gap
     estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text

@@ -202,14 +202,10 @@ SAME_RATE = 0.05  # largest relative difference of two statements of one rate, o
 
 
 class StatedRate(NamedTuple):
-    """Sampling rate that lines around a table state.
+    """Sampling rate that lines around a table state."""
 
-    `hz` is None if they state none, or several that differ by more than 5 %. `note`, for the user, names these, or what
-    was assumed about the rate; it is empty otherwise.
-    """
-
-    hz: float | None = None  # None if no rate is stated, or several are
-    note: str = ""  # assumption about it, or the several rates, for the user
+    hz: float | None = None  # None if no rate is stated, or several that differ by more than 5 %
+    note: str = ""  # assumption about it, or the several rates, for the user; empty if none
 
 
 def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None = None) -> StatedRate:

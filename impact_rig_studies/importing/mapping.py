@@ -43,14 +43,10 @@ OTHER_UNIT = {"m": "mm", "m/s": "mm/s", "m/s^2": "g", "A": "mA"}
 
 @attrs.frozen(kw_only=True)
 class Channel:
-    """Source of a channel of the rig: the signal in an imported file, with its unit and calibration.
-
-    `scale` multiplies the values before their unit is applied. `sign` is -1 for a sensor mounted the other way round.
-    `offset` [SI unit] is added at the end. An empty `unit` means that of the file, else SI.
-    """
+    """Source of a channel of the rig: the signal in an imported file, with its unit and calibration."""
 
     column: str  # name of the signal in the file
-    unit: str = ""  # unit of its values; empty means SI
+    unit: str = ""  # unit of its values; empty means that of the file, else SI
     scale: float = 1.0  # factor of a value, before its unit is applied
     sensitivity: str = ""  # such as `100 mV/g`, if the unit is that of a voltage; empty if none
     sign: float = 1.0  # -1 for a sensor mounted the other way round
@@ -112,14 +108,10 @@ def _not_negative(_mapping: object, _field: object, value: float | str | None) -
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap.
-
-    `rate_hz`, if not None, replaces the times in the file. `resample_hz` is the rate for signals that are not uniform
-    in time, None to reject these. An `amplitude` [A] of NaN is found in the data.
-    """
+    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap."""
 
     channels: AnyMapping[str, Channel]  # by name
-    rate_hz: float | None = None  # rate, if the file has neither times nor a rate
+    rate_hz: float | None = None  # rate that replaces the times in the file; None means that these count
     resample_hz: int | None = None  # rate for scans that are not uniform in time; None means that they are rejected
     frequency: float | str | None = attrs.field(default=None, validator=_above_zero)
     """Drive frequency [Hz], or name of the signal with it; None means that it is found in the measured motion."""

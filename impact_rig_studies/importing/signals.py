@@ -51,9 +51,7 @@ class AbscissaKind(enum.StrEnum):
 class Abscissa:
     """Times or frequencies at which a signal is given: evenly spaced, or listed one by one.
 
-    Times are in seconds, independent of the unit in the file, which `unit` keeps. The first is `start`. `step` is the
-    spacing that the file states, None if it states none. `values` are the times or frequencies that the file lists,
-    relative to the first, None if it lists none. `resolution` is half of the last digit of either, 0 if they are exact.
+    Times are in seconds, independent of the unit in the file, which `unit` keeps.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE
@@ -85,10 +83,7 @@ def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
 
 @attrs.frozen(eq=False)
 class Signal:
-    """Numbers of an imported file that belong together, with unit, abscissa and kind.
-
-    `unit` is empty if the file states none. `origin` is the place in the file, such as `column 3`.
-    """
+    """Numbers of an imported file that belong together, with unit, abscissa and kind."""
 
     values: Real  # shape (n,)
     unit: str = ""  # unit in the file; empty if the file names none
@@ -110,11 +105,7 @@ class Signal:
 
 @attrs.frozen(eq=False)
 class ImportedSignals:
-    """Content of a file that another program wrote, in the common form.
-
-    The signals are in the order of the file, and may differ in length. `start_ns` is the stamp of the first sample,
-    None if the file has none. `remarks` are assumptions about the complete file.
-    """
+    """Content of a file that another program wrote, in the common form."""
 
     path: Path
     format: str  # name of the format for messages

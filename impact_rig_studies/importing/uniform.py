@@ -54,14 +54,10 @@ Rate = int | float  # scans per second: int for a whole number
 
 @attrs.frozen(eq=False)
 class Grid:
-    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s].
-
-    `index` increases by more than 1 where scans are missing. `followed` has the drive's frequency and the gap, if
-    signals of the file give them.
-    """
+    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s]."""
 
     rate_hz: Rate
-    index: NDArray[np.int64]  # number of each scan, counted from the first, shape (n,)
+    index: NDArray[np.int64]  # number of each scan from the first, with gaps where scans are missing, shape (n,)
     signals: dict[str, Real]  # values by channel, shape (n,) each
     followed: dict[str, Real]  # frequency and gap where signals give them, shape (n,) each
 

@@ -93,24 +93,24 @@ def test_the_reason_is_shown_where_the_prediction_does_not_apply(
 
 def test_only_the_newest_request_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
-    told: list[dict[str, Any]] = []
-    begun, go_on, done = threading.Event(), threading.Event(), threading.Event()
+    reported: list[dict[str, Any]] = []
+    started, go_on, done = threading.Event(), threading.Event(), threading.Event()
 
     def slow(_values: object, amplitude: float) -> dict[str, Any]:
         asked.append(amplitude)
-        begun.set()
+        started.set()
         assert go_on.wait(PATIENCE_S)
         return {"lines": [], "words": f"{amplitude:g}"}
 
     def receive(found: dict[str, Any]) -> None:
-        told.append(found)
+        reported.append(found)
         done.set()
 
     monkeypatch.setattr(theory, "predicted", slow)
     one = Theory(receive)
     try:
         one.want(DEFAULT, 1.0)
-        assert begun.wait(PATIENCE_S)
+        assert started.wait(PATIENCE_S)
         for amplitude in (2.0, 3.0, 3.0):
             one.want(DEFAULT, amplitude)
         one.want({**DEFAULT, "daq.rate_hz": 1}, 3.0)  # nothing a prediction depends on
@@ -119,7 +119,7 @@ def test_only_the_newest_request_is_computed(monkeypatch: pytest.MonkeyPatch) ->
     finally:
         one.close()
     assert asked == [1.0, 3.0]
-    assert [found["words"] for found in told] == ["3"]
+    assert [found["words"] for found in reported] == ["3"]
     one.want(DEFAULT, 4.0)  # ended: nothing happens
     assert asked == [1.0, 3.0]
 
@@ -164,11 +164,11 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
     assert main(words) == 0
     island = continued(out)
     for gap_m, amplitude, here in ((0.006, CURRENT_A, True), (0.007, CURRENT_A, False), (0.006, 0.5, False)):
-        told: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        one = Theory(told.put)
+        reported: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        one = Theory(reported.put)
         one.branches = [island]
         one.want({**DEFAULT, "barriers.gap_m": gap_m, "sphere.start": "right"}, amplitude)
-        found = told.get(timeout=PATIENCE_S)
+        found = reported.get(timeout=PATIENCE_S)
         one.close()
         plain = of(gap_m * 1e3, amplitude)["lines"]
         assert found["lines"] == [*plain, *(island.lines if here else [])]

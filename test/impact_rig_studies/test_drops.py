@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kits.recorded_rig import Messages, note, record
+from kits.recorded_rig import SLOW_RIG, note, record, scanned
 
 from impact_rig.cli import main
 from impact_rig.physics.contact import from_config
@@ -29,14 +29,6 @@ from impact_rig.testing import LocalRig
 from impact_rig_studies.decay import DropHeights, parse_drop
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
-
-TOPICS = ("daq/info", "shaker/applied", "daq/scan")
-RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
-
-
-def recorded(rig: LocalRig) -> Messages:
-    found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
-    return sorted(found, key=lambda one: one[1].stamp_ns)
 
 
 def test_drops_noted_in_a_run_yield_the_restitution_of_the_law(
@@ -47,10 +39,10 @@ def test_drops_noted_in_a_run_yield_the_restitution_of_the_law(
     rng = np.random.default_rng(1)
     heights = [(0.2 + 0.01 * k, e**2 * (0.2 + 0.01 * k) + 2e-4 * rng.standard_normal()) for k in range(8)]
     noted = [DropHeights(before, round(after, 5)) for before, after in heights]
-    rig = LocalRig(RIG)
+    rig = LocalRig(SLOW_RIG)
     rig.run(seconds=1.0)
     remarks = ["the sphere is new", *(drop.text() for drop in noted)]
-    path = record(tmp_path / "drops", [*recorded(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
+    path = record(tmp_path / "drops", [*scanned(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
     assert main(["analyze", str(path), "--drop", "0.2mm", "--figures", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", printed).groups())  # type: ignore[union-attr]  # it is there
@@ -78,9 +70,9 @@ def test_drops_noted_in_a_run_yield_the_restitution_of_the_law(
 def test_an_invalid_drop_test_is_rejected(
     tmp_path: Path, remarks: list[str], u: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rig = LocalRig(RIG)
+    rig = LocalRig(SLOW_RIG)
     rig.run(seconds=0.5)
-    path = record(tmp_path / "none", [*recorded(rig), *(note(text, k) for k, text in enumerate(remarks))])
+    path = record(tmp_path / "none", [*scanned(rig), *(note(text, k) for k, text in enumerate(remarks))])
     assert main(["analyze", str(path), f"--drop={u}"]) == 1
     assert words in capsys.readouterr().err.replace("\n", " ")
 

@@ -106,9 +106,9 @@ def test_the_random_error_covers_the_deviations_of_ideal_instruments_with_noise(
     lines = (estimates[0].frequency_hz > 25.0) & (estimates[0].frequency_hz < 55.0)
     spread = np.std([one.h1[lines].real for one in estimates], axis=0, ddof=1)
     gain = 4e-3  # of the sensors: the same in all
-    told = np.mean([np.sqrt(np.maximum(one.u_relative[lines] ** 2 - gain**2, 0.0)) * np.abs(one.h1[lines])
+    stated = np.mean([np.sqrt(np.maximum(one.u_relative[lines] ** 2 - gain**2, 0.0)) * np.abs(one.h1[lines])
                     for one in estimates], axis=0)  # fmt: skip
-    assert 0.8 < np.sqrt(np.mean(spread**2) / np.mean(told**2)) < 1.05
+    assert 0.8 < np.sqrt(np.mean(spread**2) / np.mean(stated**2)) < 1.05
 
 
 def linear_response(rig: Hardware, frequency_hz: np.ndarray) -> np.ndarray:

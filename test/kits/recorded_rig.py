@@ -35,6 +35,7 @@ from impact_rig.rig import Rig, journal
 from impact_rig.rig.config import RigConfig, dump, from_flat
 from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import stamp_ns
+from impact_rig.testing import LocalRig
 
 TICK = 10_000_000
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -47,6 +48,13 @@ KINDS = {
 }
 Messages = list[tuple[str, Any]]
 PROVENANCE = Provenance(version="0", seed=5, wall_start_ns=0)
+SLOW_RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
+
+
+def scanned(rig: LocalRig) -> Messages:
+    """Return calibration, drive and scans that a rig has published."""
+    topics = ("daq/info", "shaker/applied", "daq/scan")
+    return sorted(((topic, table) for topic in topics for table in rig.tables(topic)), key=lambda one: one[1].stamp_ns)
 
 
 def published(rig: Rig, blocks: int) -> Messages:

@@ -65,13 +65,13 @@ def run_scenario(sizes, *, late_ns=0, rate_hz=RATE, start_ns=0):
     made = tracker(rate_hz=rate_hz, start_ns=start_ns)
     parts = [(rows[: hole[0]], 0), (rows[hole[1] :], hole[1])]
     change_ns = start_ns + 9 * NS_PER_S
-    found, told = [], False
+    found, sent = [], False
     for part, first in parts:
         for table in blocks(part, rate_hz, sizes() if callable(sizes) else sizes, start_ns=start_ns, first=first):
             end_ns = table.stamp_ns + len(table.rows) * NS_PER_S // rate_hz
-            if not told and end_ns > change_ns + late_ns:  # the rig accepts a command before it simulates its instant
+            if not sent and end_ns > change_ns + late_ns:  # the rig accepts a command before it simulates its instant
                 made.on_applied(applied(9.5, at_ns=change_ns))
-                told = True
+                sent = True
             found.append(made.feed(table))
     found.append(made.flush())
     measurements = [table for one in found for table in one.measurements]

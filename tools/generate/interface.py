@@ -85,9 +85,9 @@ def _columns() -> str:
             titles.setdefault(topic.fields, []).append(f"`{topic.name}`")
     parts = []
     for fields, names in titles.items():
-        begun = [earlier for earlier in titles if fields != earlier and fields[: len(earlier)] == earlier]
-        same = f"The columns of {titles[begun[0]][0]}, and\n\n" if begun else ""
-        columns = section.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(begun[0]) :] if begun else fields
+        heads = [earlier for earlier in titles if fields != earlier and fields[: len(earlier)] == earlier]
+        same = f"The columns of {titles[heads[0]][0]}, and\n\n" if heads else ""
+        columns = section.COLUMNS if f"`{topics.SCAN.name}`" in names else fields[len(heads[0]) :] if heads else fields
         rows = ((f"`{c.name}`", _kind(c.kind), c.unit, c.doc) for c in columns)
         parts.append(f"### {', '.join(names)}\n\n{same}" + table(("column", "type", "unit", "meaning"), rows))
     return "\n".join(parts)

@@ -48,17 +48,12 @@ from impact_rig_studies.importing.signals import ImportedSignals, reasons
 
 @attrs.frozen
 class Format:
-    """File format that can be imported: its reader, and the library that the reader needs.
-
-    `library` is the module to import, and `package` what to install for it; both are empty if the reader needs none.
-    `read` receives the path, the content of the file (of a bag its size in bytes), and the module. `prepare` is called
-    after the import.
-    """
+    """File format that can be imported: its reader, and the library that the reader needs."""
 
     name: str  # name for messages, such as `a WAV file`
-    read: Callable[..., ImportedSignals]  # function of path and content, and of the library if there is one
-    library: str = ""  # module of the library that the reader needs; empty if none
-    package: str = ""  # package that contains the library
+    read: Callable[..., ImportedSignals]  # function of path, content (of a bag its size in bytes), and library
+    library: str = ""  # module of the library to import; empty if the reader needs none
+    package: str = ""  # package to install for it
     prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:

@@ -51,11 +51,7 @@ _QUOTED = re.compile(r'"[^"]*"|\S+')
 
 @attrs.frozen
 class Layout:
-    """Structure of a text table as detected in its lines; lines and columns count from 0.
-
-    A `delimiter` of None means blanks. `first` is the line of the first row of numbers, `width` the number of its
-    cells. `words` and `empty` are the columns that contain words, and nothing.
-    """
+    """Structure of a text table as detected in its lines; lines and columns count from 0."""
 
     delimiter: str | None  # None: blanks
     decimal: str  # `.` or `,`

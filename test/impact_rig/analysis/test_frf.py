@@ -86,8 +86,8 @@ def test_the_stated_uncertainty_is_the_scatter_of_repeated_records():
     band = (repeats[0].frequency_hz > 20) & (repeats[0].frequency_hz < 150)
     values = np.array([one.h1[band] for one in repeats])
     scatter = np.std(np.abs(values), axis=0) / np.abs(values.mean(axis=0))
-    told = np.mean([one.u_relative[band] for one in repeats], axis=0)
-    assert np.median(scatter / told) == pytest.approx(1.0, abs=0.15)
+    stated = np.mean([one.u_relative[band] for one in repeats], axis=0)
+    assert np.median(scatter / stated) == pytest.approx(1.0, abs=0.15)
 
 
 def linear_rig(base, rate_hz, info, zeta=0.02):

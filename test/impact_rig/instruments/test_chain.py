@@ -196,14 +196,14 @@ def test_every_channel_reads_each_scan_once_after_a_change_to_ideal_instruments(
     config = configured(1234)
     chain, motion = Chain(config), lively_motion()
     chain.acquire(motion, 0, ticks)
-    begun = chain.first_open_scan
-    assert chain.ready < begun  # skews keep some channels behind
+    start = chain.first_open_scan
+    assert chain.ready < start  # skews keep some channels behind
     chain.reconfigure(from_flat(config, {"instruments.ideal": True}))
     chain.calibrate("current", 20.0, 1.0, TICKS)
     chain.acquire(motion, ticks, TICKS)
-    rows = chain.read(chain.ready)[begun:]
-    assert len(rows) == -(-(ticks + TICKS) * 1234 // 100) - begun
-    at = (begun + np.arange(len(rows))) / 1234
+    rows = chain.read(chain.ready)[start:]
+    assert len(rows) == -(-(ticks + TICKS) * 1234 // 100) - start
+    at = (start + np.arange(len(rows))) / 1234
     truth = motion.quantities(("a_1", "x_1", "x_b"), np.zeros(len(at), np.int64), at)
     for name, expected in zip(CHANNELS, truth, strict=False):
         np.testing.assert_allclose(rows[name], expected, rtol=1e-9, atol=1e-12)
@@ -217,15 +217,15 @@ def test_a_smaller_skew_that_puts_a_scan_into_the_past_delays_no_other_scan(chan
     then = from_flat(config, {f"instruments.{name}": value for name, value in change.items()})
     motion, chain, twin = AnalyticMotion(x_b=sine(20.0, 10e-3)), Chain(config), Chain(then)
     chain.acquire(motion, 0, 3)
-    begun = chain.first_open_scan
-    assert chain.ready < begun
+    start = chain.first_open_scan
+    assert chain.ready < start
     chain.reconfigure(then)
     chain.acquire(motion, 3, TICKS)
     twin.acquire(motion, 0, 3 + TICKS)
     assert chain.ready == twin.ready
     scans, all_along = chain.read(chain.ready)["base"], twin.read(twin.ready)["base"]
-    np.testing.assert_allclose(scans[begun:], all_along[begun:], atol=1e-8)
-    assert abs(scans[begun - 1] - all_along[begun - 1]) < 22e-6 * 2 * np.pi * 20.0 * 10e-3  # at most as late as it was
+    np.testing.assert_allclose(scans[start:], all_along[start:], atol=1e-8)
+    assert abs(scans[start - 1] - all_along[start - 1]) < 22e-6 * 2 * np.pi * 20.0 * 10e-3  # at most as late as it was
 
 
 def test_the_certificate_contains_what_the_analysis_needs():

@@ -49,8 +49,8 @@ def _acknowledgements(client: Client, blocks: int, may_send: bool = True) -> lis
 
 
 def test_a_single_block_is_acknowledged_at_once(client: Client) -> None:
-    told = _acknowledgements(client, 1)
-    assert [(header.frame_id, nanoseconds(header.stamp)) for header in told] == [("rig", 0)]
+    acknowledged = _acknowledgements(client, 1)
+    assert [(header.frame_id, nanoseconds(header.stamp)) for header in acknowledged] == [("rig", 0)]
 
 
 def test_blocks_of_a_burst_are_acknowledged_together_and_soon(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:

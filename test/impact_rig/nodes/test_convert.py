@@ -129,8 +129,8 @@ def test_the_filter_does_not_depend_on_the_blocks_and_restarts_after_a_reset() -
         parts = (stream.feed(k, rows[k : k + size]) for k in range(0, 900, size))
         return [(one.sample, one.values["laser"], one.status) for part in parts for one in part]
 
-    begun = AntiAlias(["laser"], 20).feed(13, rows)
-    assert [one.sample for one in begun] == list(range(20, 900 + 13 - 80, 20)), "none before the first scan"
+    found = AntiAlias(["laser"], 20).feed(13, rows)
+    assert [one.sample for one in found] == list(range(20, 900 + 13 - 80, 20)), "none before the first scan"
     stream = AntiAlias(["laser"], 20)
     whole = run(stream, 900)
     assert [sample for sample, _, _ in whole] == list(range(0, 900 - 80, 20))

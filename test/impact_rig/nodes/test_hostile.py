@@ -174,8 +174,8 @@ def test_parameters_of_any_name_type_and_value_are_validated(attacked: Attacked)
                 legal = not FIELDS[name][0].read_only and bool(from_flat(RigConfig(), {name: _given(value)}))
             except ConfigError as error:
                 assert not result.successful
-                told = FIELDS[name][0].read_only or value.type not in (1, 2, 3, 4) or str(error) == result.reason
-                assert told, result.reason  # either outcome is right, each with its condition
+                is_reported = FIELDS[name][0].read_only or value.type not in (1, 2, 3, 4) or str(error) == result.reason
+                assert is_reported, result.reason  # either outcome is right, each with its condition
             else:
                 assert legal or not result.successful
         if result.successful and name in FIELDS:  # one at a time: the next case meets the nominal rig

@@ -207,12 +207,12 @@ def test_recordings_within_one_second_are_numbered(client: Client, tmp_path: Pat
     """Stopping and starting again within one second must work, although the name of the run is taken."""
     host_recorder(client, tmp_path, record=False, name="", configuration_wait_s=0.0)
     client.wait_active("recorder")
-    begun = []
+    started = []
     for _ in range(20):
-        begun.append(client.trigger("recorder/start"))
+        started.append(client.trigger("recorder/start"))
         client.trigger("recorder/stop")
-    assert len({*begun}) == 20
-    assert any(name.endswith("_2") for name in begun), "as twenty take less than twenty seconds"
+    assert len({*started}) == 20
+    assert any(name.endswith("_2") for name in started), "as twenty take less than twenty seconds"
 
 
 def test_a_recorder_whose_disk_fails_stops_acknowledging(

@@ -56,10 +56,10 @@ def test_a_reset_begins_a_new_journal_and_stamps_continue(client: Client) -> Non
     assert [table.stamp_ns for table in scans.tables()] == [k * TICK for k in range(10)]
     first, second = ([t.rows.tobytes() for t in scans.tables()[k : k + 5]] for k in (0, 5))
     assert first == second, "as new"
-    begun, again = journal.entries()
-    assert (begun.kind, again.kind) == (InputKind.START, InputKind.RESET)
-    assert (begun.sequence, again.sequence) == (0, 0)
-    assert begun.values == again.values
+    start, reset = journal.entries()
+    assert (start.kind, reset.kind) == (InputKind.START, InputKind.RESET)
+    assert (start.sequence, reset.sequence) == (0, 0)
+    assert start.values == reset.values
 
 
 def test_a_late_subscriber_receives_the_present_state_and_the_journal(client: Client) -> None:

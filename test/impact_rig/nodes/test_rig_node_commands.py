@@ -48,8 +48,8 @@ def test_invalid_commands_are_rejected_and_counted_and_change_nothing(client: Cl
     client.wait_until(lambda: node.refusals.counts.total() == len(bad) + 3, "all refusals")
     assert node.refusals.counts == {"shaker/frequency": len(bad), "shaker/current": 3}
     assert "200.1" in node.refusals.last["shaker/frequency"]
-    told = ("refused.shaker/frequency", str(len(bad)))
-    client.wait_until(lambda: told in client.figures("rig").items(), "the rejection in the diagnostics")
+    refused = ("refused.shaker/frequency", str(len(bad)))
+    client.wait_until(lambda: refused in client.figures("rig").items(), "the rejection in the diagnostics")
     row = client.command(frequency_hz=9.2)
     assert (row["frequency"], row["current"]) == (9.2, 0.3)
     client.wait_until(lambda: len(applied) >= 4, "the row")

@@ -73,8 +73,8 @@ def test_a_law_states_formula_and_source_and_has_only_fields_of_its_section(law)
 @pytest.mark.parametrize("e", RESTITUTIONS)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_contact_has_the_restitution_that_its_law_predicts(law, e):
-    told = from_config(Contact(law=law, restitution=e)).realised_restitution()
-    assert hit(0.3, law=law, restitution=e).restitution == pytest.approx(told, rel=TOLERANCE)
+    realised = from_config(Contact(law=law, restitution=e)).realised_restitution()
+    assert hit(0.3, law=law, restitution=e).restitution == pytest.approx(realised, rel=TOLERANCE)
 
 
 @pytest.mark.parametrize("e", RESTITUTIONS)

@@ -107,8 +107,8 @@ def test_the_reported_phase_is_that_of_the_next_segment(waveform, ticks):
     """Generators report the phase of a chirp, not that of a sine at its first frequency."""
     made = generator(waveform=waveform)
     made.segments(ticks)
-    told = made.phase_rad
-    assert told == made.segments(1)["phase"][0]
+    phase = made.phase_rad
+    assert phase == made.segments(1)["phase"][0]
 
 
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])

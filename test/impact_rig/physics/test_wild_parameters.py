@@ -144,12 +144,12 @@ def assert_walls_hold(config: RigConfig, samples: np.ndarray, motion: Motion) ->
         assert not outside.any(), "the sphere has gone through a wall"
         return
     cycle_s = motion.segments["duration"][0]
-    begun = motion.impacts["tick"] + motion.impacts["offset"] / cycle_s
-    ended = begun + motion.impacts["duration"] / cycle_s
+    began = motion.impacts["tick"] + motion.impacts["offset"] / cycle_s
+    ended = began + motion.impacts["duration"] / cycle_s
     instants = np.arange(len(samples)) / PER_CYCLE
     for i in np.flatnonzero(outside & (force == 0.0)):
         within = np.flatnonzero(~outside[:i])
-        of_visit = (ended >= (instants[within[-1]] if len(within) else 0.0)) & (begun <= instants[i])
+        of_visit = (ended >= (instants[within[-1]] if len(within) else 0.0)) & (began <= instants[i])
         left_behind = motion.impacts["peak_indentation"][of_visit].sum()
         assert abs(distance[i]) - reach <= left_behind, "outside the gap without a force"
 

@@ -102,10 +102,10 @@ class Bench:
     @contextlib.contextmanager
     def controller(self, name: str) -> Iterator[None]:
         """Start a controller, wait until its samples take effect, and finally kill it and wait until they end."""
-        begun, ended = self.count_entries("begin"), self.count_entries("end")
+        begins, ended = self.count_entries("begin"), self.count_entries("end")
         environment = {"PYTHONPATH": str(EXAMPLES)}
         self.processes.start(name, command=[sys.executable, "-c", CONTROLLER, name], environment=environment)
-        self.wait(lambda: self.count_entries("begin") > begun, f"samples of {name}")
+        self.wait(lambda: self.count_entries("begin") > begins, f"samples of {name}")
         yield
         self.processes.running[name].signal(signal.SIGKILL)
         self.processes.stop(name)
@@ -163,7 +163,7 @@ def test_a_controller_plays_a_file_to_a_running_rig(bench: Bench, tmp_path: Path
 def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_again(bench: Bench) -> None:
     """The recorder is stopped together with the controller; at the end of this file, it must have every block."""
     with bench.controller("feedback"):
-        late, begun, process = bench.state("late"), bench.count_entries("begin"), bench.processes.running["feedback"]
+        late, begins, process = bench.state("late"), bench.count_entries("begin"), bench.processes.running["feedback"]
         recorder = bench.processes.running["recorder"]
         for one in (process, recorder):
             one.signal(signal.SIGSTOP)
@@ -173,7 +173,7 @@ def test_a_controller_that_is_suspended_and_resumes_is_late_and_then_followed_ag
         for one in (recorder, process):
             one.signal(signal.SIGCONT)
         bench.wait(lambda: bench.state("late") > late, "answers to what it missed, which is past")
-        bench.wait(lambda: bench.count_entries("begin") > begun, "samples again")
+        bench.wait(lambda: bench.count_entries("begin") > begins, "samples again")
 
 
 def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_fast(bench: Bench) -> None:
@@ -184,9 +184,9 @@ def test_samples_beyond_the_buffer_are_rejected_from_a_controller_ten_times_too_
 
 
 def test_a_controller_ten_times_too_slow_is_followed_only_at_times(bench: Bench) -> None:
-    begun, ended = bench.count_entries("begin"), bench.count_entries("end")
+    begins, ended = bench.count_entries("begin"), bench.count_entries("end")
     with bench.controller("slow"):
-        bench.wait(lambda: bench.count_entries("begin") >= begun + 5, "five blocks")
+        bench.wait(lambda: bench.count_entries("begin") >= begins + 5, "five blocks")
         assert bench.count_entries("end") >= ended + 4
 
 

@@ -163,11 +163,11 @@ def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, 
     writer.finish()
     assert not tail_of(Path(writer.files[0])).exists()
     recording, tail = kept / "run.mcap", tail_of(kept / "run.mcap")
-    begun, whole, secured = recording.stat().st_size, writer.files[0].read_bytes(), tail.read_bytes()
-    for size in range(begun, begun + 200, 29):
+    main_bytes, whole, secured = recording.stat().st_size, writer.files[0].read_bytes(), tail.read_bytes()
+    for size in range(main_bytes, main_bytes + 200, 29):
         recording.write_bytes(whole[:size])
         assert given_back(kept, tmp_path / "out") == sent
-    recording.write_bytes(whole[:begun])
+    recording.write_bytes(whole[:main_bytes])
     counts = []
     for size in [*range(0, len(secured), 97), len(secured)]:
         tail.write_bytes(secured[:size])

@@ -104,11 +104,11 @@ def test_missing_samples_ramp_to_zero_and_are_reported():
     assert current[1_000] == pytest.approx(0.15, abs=0.02), "half of a ramp of 0.1 s"
     assert current[1_600:2_900] == pytest.approx(0.0, abs=0.02)
     assert current[3_100:4_900] == pytest.approx(0.1, abs=0.02)
-    told = rows(rig, [])
-    assert [(key, value) for key, value, _ in told] == [
+    found = rows(rig, [])
+    assert [(key, value) for key, value, _ in found] == [
         ("begin", 0.0), ("crc32", 0.0), ("end", 500.0), ("begin", 3_000.0), ("crc32", 3_000.0), ("end", 5_000.0)
     ]  # fmt: skip
-    assert [text for key, _, text in told if key == "end"] == ["underrun", "ended"]
+    assert [text for key, _, text in found if key == "end"] == ["underrun", "ended"]
     assert rig.stream.missing == 2_500
 
 
@@ -124,9 +124,9 @@ def test_the_end_of_a_stream_may_arrive_in_any_order(order):
     for i in order:
         rig.feed(*blocks[i])
     rig.advance(NS_PER_S)
-    told = [(key, value, text) for key, value, text in rows(rig, []) if key != "crc32"]
+    found = [(key, value, text) for key, value, text in rows(rig, []) if key != "crc32"]
     pieces = [("begin", 0.0, ""), ("end", 500.0, "ended"), ("begin", 1_500.0, ""), ("end", 2_000.0, "ended")]
-    assert told == pieces
+    assert found == pieces
     assert rig.latched is None
     assert rig.stream.missing == 0
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kits.recorded_rig import Messages, record
+from kits.recorded_rig import SLOW_RIG, record, scanned
 
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
@@ -34,14 +34,6 @@ from impact_rig.testing import LocalRig
 
 pytestmark = pytest.mark.ros  # runs carry the schemas of the messages
 
-TOPICS = ("daq/info", "shaker/applied", "daq/scan")
-RIG = {"sphere.present": False, "daq.rate_hz": 1000, "daq.block_scans": 100}
-
-
-def recorded(rig: LocalRig) -> Messages:
-    found = [(topic, table) for topic in TOPICS for table in rig.tables(topic)]
-    return sorted(found, key=lambda one: one[1].stamp_ns)
-
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -52,18 +44,18 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "drive.random_low_hz": 6.0,
         "drive.random_high_hz": 12.0,
     }
-    rig = LocalRig({**RIG, **noise})
+    rig = LocalRig({**SLOW_RIG, **noise})
     rig.run(seconds=100.0)
-    return record(tmp_path_factory.mktemp("swept") / "swept", recorded(rig))
+    return record(tmp_path_factory.mktemp("swept") / "swept", scanned(rig))
 
 
 @pytest.fixture(scope="module")
 def steady(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Settled measurement at 9.3 Hz."""
-    rig = LocalRig(RIG)
+    rig = LocalRig(SLOW_RIG)
     rig.command(frequency_hz=9.3, current_a=0.3)
     rig.run(seconds=13.0)
-    return record(tmp_path_factory.mktemp("steady") / "steady", recorded(rig))
+    return record(tmp_path_factory.mktemp("steady") / "steady", scanned(rig))
 
 
 def test_a_frequency_response_is_the_closed_form_within_its_uncertainty(swept: Path) -> None:
@@ -72,7 +64,7 @@ def test_a_frequency_response_is_the_closed_form_within_its_uncertainty(swept: P
     frequency = found.frequency_hz[found.excited]
     far = (frequency > 6.5) & (frequency < 11.5)
     assert np.count_nonzero(far) > 90
-    truth = np.array([abs(transmissibility(from_flat(RigConfig(), RIG), f)) for f in frequency[far]])
+    truth = np.array([abs(transmissibility(from_flat(RigConfig(), SLOW_RIG), f)) for f in frequency[far]])
     off = np.abs(found.h1[found.excited][far]) / truth - 1.0
     assert np.mean(np.abs(off) < 2.0 * found.u_relative[found.excited][far] + 0.01) > 0.9
 
@@ -130,10 +122,10 @@ def test_an_impossible_segment_length_is_rejected(
 
 
 def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
-    rig = LocalRig({**RIG, "daq.block_scans": 1000})
+    rig = LocalRig({**SLOW_RIG, "daq.block_scans": 1000})
     rig.run(seconds=40.0)
     with (
-        open_run(record(tmp_path / "rest", recorded(rig))) as run,
+        open_run(record(tmp_path / "rest", scanned(rig))) as run,
         pytest.raises(RecordingError, match="the coherence of base and laser is below"),
     ):
         excerpts.response_of(run, 1.0)
@@ -149,7 +141,7 @@ def test_sines_agree_with_the_measurement_of_the_same_scans(steady: Path) -> Non
     assert found.measured.transmissibility == pytest.approx(row["transmissibility"], rel=1e-4), "other cycles"
     assert found.fits["base"].amplitude == pytest.approx(row["base_amplitude"], rel=1e-4)
     assert found.fits["current"].amplitude == pytest.approx(row["current_amplitude"], rel=1e-4)
-    truth = abs(transmissibility(from_flat(RigConfig(), RIG), 9.3))
+    truth = abs(transmissibility(from_flat(RigConfig(), SLOW_RIG), 9.3))
     ratio = found.fits["laser"].amplitude / found.fits["base"].amplitude
     assert ratio == pytest.approx(truth, rel=0.01), "lag and skew are not corrected: 0.1 % at 9.3 Hz"
 
@@ -167,8 +159,8 @@ def test_the_command_prints_and_draws_sines(
 
 
 def test_a_run_without_a_drive_has_no_sines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = LocalRig(RIG)
+    rig = LocalRig(SLOW_RIG)
     rig.run(seconds=2.0)
-    messages = [one for one in recorded(rig) if one[0] != "shaker/applied"]
+    messages = [one for one in scanned(rig) if one[0] != "shaker/applied"]
     assert main(["analyze", str(record(tmp_path / "still", messages)), "--sine"]) == 1
     assert "shaker/applied" in capsys.readouterr().err

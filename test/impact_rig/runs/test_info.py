@@ -105,10 +105,10 @@ def test_a_run_without_scans_is_reported(record):
 
 
 def test_a_run_with_a_calibration_but_without_scans_is_reported(record):
-    told = topic("/rig/daq/info", POINT_CLOUD)
+    info_topic = topic("/rig/daq/info", POINT_CLOUD)
     with record() as writer:
-        writer.add_topic(told)
-        writer.write(told.name, codec.encode(Table(17, info_rows(RATE_HZ))), 17)
+        writer.add_topic(info_topic)
+        writer.write(info_topic.name, codec.encode(Table(17, info_rows(RATE_HZ))), 17)
     found = info(writer.directory)
     assert (found.rate_hz, found.duration_s, found.last_block_s) == (RATE_HZ, 0.0, 0.0)
 

@@ -232,17 +232,17 @@ def test_a_machine_that_computes_differently_has_another_fingerprint(monkeypatch
 
 
 @pytest.mark.parametrize("late", [1, 8, 60], ids=lambda blocks: f"{blocks} blocks")
-@pytest.mark.parametrize("begun", [0, 300], ids=["scan 0", "3 s"])
-def test_late_calibration_and_drive_apply_from_the_first_block(tmp_path: Path, late: int, begun: int) -> None:
+@pytest.mark.parametrize("first_tick", [0, 300], ids=["scan 0", "3 s"])
+def test_late_calibration_and_drive_apply_from_the_first_block(tmp_path: Path, late: int, first_tick: int) -> None:
     """A recorder started in mid-run receives scans before latched messages; the live analysis knew these all along."""
     data = messages(again=AGAIN)
-    part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= begun * TICK]
-    known = [one for one in part if one[0] in ("daq/info", "shaker/applied") and one[1].stamp_ns <= begun * TICK]
-    known = known if begun else [one for one in known if one[0] == "daq/info"]
+    part = [(name, one) for name, one in data if name not in ("daq/scan", TABLE) or one.stamp_ns >= first_tick * TICK]
+    known = [one for one in part if one[0] in ("daq/info", "shaker/applied") and one[1].stamp_ns <= first_tick * TICK]
+    known = known if first_tick else [one for one in known if one[0] == "daq/info"]
     scans = [place for place, one in enumerate(part) if one[0] == "daq/scan"]
     at = scans[late]
-    told = [one for one in part[:at] if one not in known] + known + [one for one in part[at:] if one not in known]
-    found = compared(tmp_path, told)
+    delivered = [one for one in part[:at] if one not in known] + known + [one for one in part[at:] if one not in known]
+    found = compared(tmp_path, delivered)
     assert found.same, found.reason
     assert found.identical
     assert found.compared >= 3

@@ -343,15 +343,15 @@ def test_every_topic_of_the_rig_is_compared_and_reported(recorded, tmp_path: Pat
     assert counts["rig/journal"] == published["rig/journal"]
 
 
-@pytest.mark.parametrize("begun", [3, 80, 200], ids=lambda block: f"block {block}")
-def test_topics_that_a_late_recorder_missed_are_no_difference(recorded, tmp_path: Path, begun: int) -> None:
+@pytest.mark.parametrize("first_block", [3, 80, 200], ids=lambda block: f"block {block}")
+def test_topics_that_a_late_recorder_missed_are_no_difference(recorded, tmp_path: Path, first_block: int) -> None:
     """Truth and scans begin one after the other; latched messages are there from before."""
     latched = ("rig/journal", "shaker/applied", "daq/info", "truth/faults", "rig/configuration")
     scans = [place for place, (name, _) in enumerate(recorded) if name == "daq/scan"]
     late = [
         one
         for place, one in enumerate(recorded)
-        if one[0] in latched or place >= scans[begun] + (400 if one[0] == "truth/joint_states" else 0)
+        if one[0] in latched or place >= scans[first_block] + (400 if one[0] == "truth/joint_states" else 0)
     ]
     found = verdict(tmp_path, late)
     assert found.identical, found.reason

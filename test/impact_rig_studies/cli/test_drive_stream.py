@@ -175,9 +175,9 @@ def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys,
     (tmp_path / "zeros.csv").write_text("time,base\n0,0\n0.5,0\n1,0\n")
     words = [tmp_path / word if str(word).endswith(".csv") else word for word in words]
     assert run(*words, "--output", tmp_path / "run") == 1
-    told = capsys.readouterr()
-    assert says in " ".join((told.out + told.err).split())
-    assert not re.search(r"\b(nan|inf)\b|[0-9]{12}", told.out.replace(str(tmp_path), ""))
+    printed = capsys.readouterr()
+    assert says in " ".join((printed.out + printed.err).split())
+    assert not re.search(r"\b(nan|inf)\b|[0-9]{12}", printed.out.replace(str(tmp_path), ""))
 
 
 @pytest.mark.parametrize(
