@@ -48,12 +48,7 @@ def speed(seconds: int = 10) -> dict[str, float]:
     """Run a rig in process: a sine with noise at 10 kS/s, scans at 10 kS/s, 6 mm gap; the median second counts."""
     config = from_flat(
         RigConfig(),
-        {
-            "daq.rate_hz": RATE_HZ,
-            "drive.waveform": "stream",
-            "drive.stream_rate_hz": RATE_HZ,
-            "barriers.gap_m": 6e-3,
-        },
+        {"daq.rate_hz": RATE_HZ, "drive.waveform": "stream", "drive.stream_rate_hz": RATE_HZ, "barriers.gap_m": 6e-3},
     )
     rig, random = Rig(config), np.random.default_rng(1)
     t = np.arange((SETTLE_S + seconds) * RATE_HZ + 1) / RATE_HZ

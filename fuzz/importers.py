@@ -215,12 +215,7 @@ _SEEDS = {
 }  # fmt: skip
 TARGETS = (
     *(
-        Target(
-            f"import{suffix.replace('.', '_')}",
-            mutated([seed]) | st.binary(max_size=200),
-            _reads(suffix),
-            MODULES,
-        )
+        Target(f"import{suffix.replace('.', '_')}", mutated([seed]) | st.binary(max_size=200), _reads(suffix), MODULES)
         for suffix, seed in _SEEDS.items()
     ),
     Target(

@@ -159,11 +159,7 @@ JOINT_STATES = Topic(
     frame_id="rig",
 )
 IMPACTS_TRUTH = _table(
-    "truth/impacts",
-    Qos.DATA,
-    "rig",
-    blocks.IMPACTS_COLUMNS,
-    "The contacts that ended in a block; time = their start.",
+    "truth/impacts", Qos.DATA, "rig", blocks.IMPACTS_COLUMNS, "The contacts that ended in a block; time = their start."
 )
 TRUTH_SCAN = _table(
     "truth/scan",

@@ -498,9 +498,4 @@ def drawn(found: Comparison, name: str) -> Drawn:
         numbers.append(Line(label, {"frequency_hz": frequency_hz[shown].tolist(), "amplitude_mm": amplitude.tolist()}))
     lines.set(xlabel="frequency (Hz)", ylabel="amplitude (mm)")
     lines.legend()
-    return Drawn(
-        "comparison",
-        figure,
-        f"{name}: measured and model, {found.excerpt}; the band is ± 2u.",
-        numbers,
-    )
+    return Drawn("comparison", figure, f"{name}: measured and model, {found.excerpt}; the band is ± 2u.", numbers)

@@ -128,8 +128,7 @@ def recording(
     head = MAGIC + record(HEADER, text("ros2") + text("hostile"))
     times = struct.pack("<QQ", 0, end_ns)
     chunk = record(
-        CHUNK,
-        times + struct.pack("<QI", size, crc) + text("zstd") + struct.pack("<Q", len(packed)) + packed,
+        CHUNK, times + struct.pack("<QI", size, crc) + text("zstd") + struct.pack("<Q", len(packed)) + packed
     )
     index = record(
         CHUNK_INDEX,

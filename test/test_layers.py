@@ -172,12 +172,7 @@ def test_a_release_needs_a_maintainer_and_an_address(tmp_path):
 
 def test_instructions_to_build_kernels_name_the_version_of_numba():
     """Kernels are built by one exact version of Numba: with another one, a workspace has no library of kernels."""
-    for name in (
-        "docs/tutorials/first_node.md",
-        ".github/workflows/ci.yaml",
-        "Dockerfile",
-        "requirements/kernels.txt",
-    ):
+    for name in ("docs/tutorials/first_node.md", ".github/workflows/ci.yaml", "Dockerfile", "requirements/kernels.txt"):
         text = (ROOT / name).read_text(encoding="utf-8")
         versions = re.findall(r"numba==([\d.]+)", text)
         assert versions, name

@@ -45,13 +45,7 @@ from components.random_vibration_sys_id_environment import (
     random_vibration_process,
 )
 from components.streaming import streaming_process
-from components.utilities import (
-    Channel,
-    DataAcquisitionParameters,
-    GlobalCommands,
-    QueueContainer,
-    VerboseMessageQueue,
-)
+from components.utilities import Channel, DataAcquisitionParameters, GlobalCommands, QueueContainer, VerboseMessageQueue
 from rattlesnake_hardware import replace_state_space
 
 from impact_rig.client.processes import Processes, isolated_domain

@@ -89,10 +89,7 @@ def symbol(index: str, unit: str) -> str:
 
 @style()
 def time_traces(
-    rows: NDArray[np.void],
-    impact_times: Real | None = None,
-    remark: str = "",
-    units: Mapping[str, str] = SI,
+    rows: NDArray[np.void], impact_times: Real | None = None, remark: str = "", units: Mapping[str, str] = SI
 ) -> Figure:
     """Draw the motions of base and structure and the acceleration over time, with marks of impacts above the axes.
 

@@ -59,11 +59,7 @@ class TrackerSettings:
     )
     windows: int = integer(8, "-", "Number of windows averaged to measure a periodic response.", at_least=8, at_most=64)
     long_windows: int = integer(
-        32,
-        "-",
-        "Number of windows averaged to measure a response that is not periodic.",
-        at_least=16,
-        at_most=256,
+        32, "-", "Number of windows averaged to measure a response that is not periodic.", at_least=16, at_most=256
     )
     settle_tolerance: float = quantity(
         5e-4,

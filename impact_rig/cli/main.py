@@ -78,10 +78,7 @@ def command_line(command: str = "") -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--version",
-        action="version",
-        version=f"{PROGRAM} {impact_rig.__version__}",
-        help="show the version and exit",
+        "--version", action="version", version=f"{PROGRAM} {impact_rig.__version__}", help="show the version and exit"
     )
     registered = parser.add_subparsers(
         dest="command", required=True, metavar="COMMAND", prog=PROGRAM, help=argparse.SUPPRESS

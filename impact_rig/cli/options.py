@@ -46,12 +46,7 @@ def call(function: str, *arguments: object) -> int:
 
 
 def subcommand(
-    commands: Commands,
-    name: str,
-    run: str | None,
-    sentence: str,
-    examples: Sequence[tuple[str, str]],
-    more: str = "",
+    commands: Commands, name: str, run: str | None, sentence: str, examples: Sequence[tuple[str, str]], more: str = ""
 ) -> argparse.ArgumentParser:
     """Register a subcommand and return its parser, to which the caller adds options.
 

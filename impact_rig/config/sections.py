@@ -249,10 +249,7 @@ class Time:
         16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
     )
     peer_timeout_s: float = quantity(
-        3.0,
-        "s",
-        "Time without acknowledgement after which a peer counts as silent and rig time stops.",
-        above=0,
+        3.0, "s", "Time without acknowledgement after which a peer counts as silent and rig time stops.", above=0
     )
     start_wait_s: float = quantity(
         120.0, "s", "Longest wait of realtime before scan 0 until all peers have subscribed.", at_least=0, at_most=3600
@@ -300,11 +297,7 @@ class Output:
     """Publications of the rig node in addition to the scans, its start, and its command timeout."""
 
     monitor_rate_hz: float = quantity(
-        50.0,
-        "Hz",
-        "Message rate of the monitor topics, for plotters, and of truth/joint_states.",
-        above=0,
-        at_most=200,
+        50.0, "Hz", "Message rate of the monitor topics, for plotters, and of truth/joint_states.", above=0, at_most=200
     )
     frame_prefix: str = text(
         "",

@@ -433,8 +433,7 @@ class Board:
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"SampClk.Rate must be at least 1 Hz, got {rate_hz:g}")
         if finite and not 1 < samples <= MOST_SAMPLES:
             raise DaqmxError(
-                Code.INVALID_ATTRIBUTE_VALUE,
-                f"SampQuant.SampPerChan must be from 2 to {MOST_SAMPLES}, got {samples}",
+                Code.INVALID_ATTRIBUTE_VALUE, f"SampQuant.SampPerChan must be from 2 to {MOST_SAMPLES}, got {samples}"
             )
         rate = round(rate_hz)
         self._config_for({RATE_KEYS[task.kind]: rate})

@@ -38,14 +38,7 @@ from std_srvs.srv import Trigger
 from impact_rig import codec, topics
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import Table
-from impact_rig.client.client import (
-    Client,
-    Collector,
-    Received,
-    WaitTimeoutError,
-    ros_parameters,
-    subscribers,
-)
+from impact_rig.client.client import Client, Collector, Received, WaitTimeoutError, ros_parameters, subscribers
 from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment, isolated_domain
 from impact_rig.driver.driver import ESSENTIAL, SCANS, STEP_TIMEOUT_S, TOPICS, RigDriver, StreamLevel, configured
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError

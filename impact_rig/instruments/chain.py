@@ -31,16 +31,7 @@ from impact_rig.arithmetic.random import Random
 from impact_rig.blocks import joined
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments import calibration
-from impact_rig.instruments.channel import (
-    Clock,
-    Sine,
-    digitise,
-    instants,
-    new_buffers,
-    respond,
-    scan_clock,
-    still_on,
-)
+from impact_rig.instruments.channel import Clock, Sine, digitise, instants, new_buffers, respond, scan_clock, still_on
 from impact_rig.instruments.conversion import CHANNEL, set_converter, set_output, take_rows
 from impact_rig.instruments.fault import Fault, FaultBoard
 from impact_rig.instruments.pieces import PIECES_PER_PERIOD, Limits, Pieces, PiecewiseMotion, cut

@@ -165,10 +165,6 @@ def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
     plain_texts(figure)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]
     for path, kind in zip(paths, formats, strict=True):
-        with (
-            files.translate_errors(f"cannot write {path}"),
-            files.atomic_write(path, replace=False) as file,
-            style(),
-        ):
+        with files.translate_errors(f"cannot write {path}"), files.atomic_write(path, replace=False) as file, style():
             file.write(rendered(figure, kind, stem.name))
     return paths

@@ -533,11 +533,7 @@ class _OtherTopics:
     """
 
     def __init__(
-        self,
-        run: Run,
-        foreign: int,
-        waveforms: Sequence[tuple[list[JournalEntry], list[Sent]]],
-        blocks: int | None,
+        self, run: Run, foreign: int, waveforms: Sequence[tuple[list[JournalEntry], list[Sent]]], blocks: int | None
     ) -> None:
         self._run = run
         self._blocks = blocks

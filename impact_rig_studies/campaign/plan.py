@@ -48,10 +48,7 @@ OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "out
 NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
     "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
     "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
-    "starts": (
-        "sphere.start",
-        lambda key, given: axes.words(key, given, STARTS),
-    ),
+    "starts": ("sphere.start", lambda key, given: axes.words(key, given, STARTS)),
     "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
 }
 """Key of a study -> the dotted name of the configuration value that it varies, and the function that reads the key."""
@@ -120,8 +117,7 @@ class Campaign:
         rig = _without_gap(first.changes)
         return [
             attrs.evolve(
-                planned,
-                reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.current_a,
+                planned, reference=_without_gap(planned.job.changes) == rig and planned.job.current_a == first.current_a
             )
             for planned in found
         ]

@@ -51,11 +51,7 @@ def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
 
 
 def to_xarray(
-    names: Sequence[str],
-    rows: Sequence[Sequence[object]],
-    *,
-    grid: Sequence[str] = (),
-    coordinates: Sequence[str] = (),
+    names: Sequence[str], rows: Sequence[Sequence[object]], *, grid: Sequence[str] = (), coordinates: Sequence[str] = ()
 ) -> Any:
     """Return a table as an `xarray.Dataset`; grid points without a row are NaN, or empty in columns of texts.
 

@@ -21,14 +21,7 @@ import json
 import time
 
 from impact_rig.analysis.uncertainty_budget import rounded
-from impact_rig.cli.terminal import (
-    Console,
-    Counted,
-    TextTable,
-    figure,
-    tell_program,
-    tell_results,
-)
+from impact_rig.cli.terminal import Console, Counted, TextTable, figure, tell_program, tell_results
 from impact_rig.errors import ConfigError
 from impact_rig.system import files
 from impact_rig_studies.campaign import paper, run
@@ -166,8 +159,7 @@ def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
     if all(verdict.result is None for verdict in verdicts):
         return  # the campaign has another subject
     table = TextTable(
-        "The paper's statements, and how strong the evidence is",
-        left=("", "statement", "verdict", "worth", "figures"),
+        "The paper's statements, and how strong the evidence is", left=("", "statement", "verdict", "worth", "figures")
     )
     colours = {"pass": "green", "FAIL": "red"}
     for number, verdict in enumerate(verdicts, 1):

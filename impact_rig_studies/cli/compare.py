@@ -22,12 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from impact_rig.analysis.uncertainty_budget import rounded
-from impact_rig.cli.terminal import (
-    Console,
-    TextTable,
-    figure,
-    tell_json,
-)
+from impact_rig.cli.terminal import Console, TextTable, figure, tell_json
 from impact_rig.recording import open_run
 from impact_rig.system import files
 

@@ -29,14 +29,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.uncertainty_budget import rounded
 from impact_rig.cli.rig_options import run_directory
-from impact_rig.cli.terminal import (
-    Console,
-    Steps,
-    TextTable,
-    Words,
-    figure,
-    tell_results,
-)
+from impact_rig.cli.terminal import Console, Steps, TextTable, Words, figure, tell_results
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, from_flat
@@ -69,13 +62,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     """
     console = Console(quiet=arguments.json)
     directory = _new_directory(arguments.output)
-    config = from_flat(
-        RigConfig(),
-        {
-            "daq.rate_hz": arguments.scan_rate,
-            "daq.seed": arguments.seed,
-        },
-    )
+    config = from_flat(RigConfig(), {"daq.rate_hz": arguments.scan_rate, "daq.seed": arguments.seed})
     console.print(
         f"impact_rig demo: rig, analysis and recorder as three processes in lockstep, {arguments.scan_rate} scans/s"
     )

@@ -22,13 +22,7 @@ import math
 import numpy as np
 
 from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
-from impact_rig.cli.terminal import (
-    Console,
-    TextTable,
-    figure,
-    tell_json,
-    tell_program,
-)
+from impact_rig.cli.terminal import Console, TextTable, figure, tell_json, tell_program
 from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.rig.config import RigConfig, dump, load_config

@@ -351,11 +351,7 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Ma
 
 
 def _commands(
-    source: ImportedSignals,
-    mapping: Mapping,
-    drive: ImportedSignals | None,
-    followed: Real | None,
-    instants: _Instants,
+    source: ImportedSignals, mapping: Mapping, drive: ImportedSignals | None, followed: Real | None, instants: _Instants
 ) -> tuple[tuple[int, float, float], ...]:
     """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
 

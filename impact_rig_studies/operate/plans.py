@@ -139,11 +139,7 @@ class HoldPlan:
         at_most=1000,
     )
     tolerance: float = quantity(
-        2e-3,
-        "-",
-        "Relative error up to which the amplitude counts as equal to the target.",
-        above=0,
-        at_most=0.5,
+        2e-3, "-", "Relative error up to which the amplitude counts as equal to the target.", above=0, at_most=0.5
     )
     corrections: int = integer(
         8, "-", "Maximum number of adjustments of the current at each point.", at_least=1, at_most=1000

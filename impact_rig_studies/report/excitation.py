@@ -26,19 +26,7 @@ import scipy
 
 import impact_rig
 from impact_rig.analysis.frf import Frf
-from impact_rig.drawing import (
-    GRID,
-    INK,
-    MEASURED,
-    MUTED,
-    PREDICTED,
-    SERIES,
-    Drawn,
-    Line,
-    legend_below,
-    new_axes,
-    style,
-)
+from impact_rig.drawing import GRID, INK, MEASURED, MUTED, PREDICTED, SERIES, Drawn, Line, legend_below, new_axes, style
 from impact_rig_studies.excitation.history import Played, Replicated
 from impact_rig_studies.excitation.random import Reached
 from impact_rig_studies.excitation.shock import Shocked

@@ -176,11 +176,7 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
                 f"the branches belong to another rig: its {key} is {theirs[key]}, but {ours[key]} in the campaign"
             )
     task = plan.tasks[0]
-    held = {
-        "frequency_hz": task.frequency_hz,
-        "current_a": task.current_a,
-        "gap_m": plan.base.barriers.gap_m,
-    }
+    held = {"frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m}
     if plan.over not in held:
         raise ConfigError(f"branches over {plan.over} cannot be shown in a report, only over {', '.join(held)}")
     del held[plan.over]

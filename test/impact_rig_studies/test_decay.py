@@ -39,12 +39,7 @@ def decay(seconds=20.0, rate_hz=500.0, *, f_n=F_N, zeta=ZETA, amplitude=5e-3, ph
 
 @METHODS
 @settings(max_examples=15)
-@given(
-    f_n=st.floats(4.0, 40.0),
-    zeta=st.floats(1e-3, 0.03),
-    phase=st.floats(-3.0, 3.0),
-    amplitude=st.floats(1e-9, 1.0),
-)
+@given(f_n=st.floats(4.0, 40.0), zeta=st.floats(1e-3, 0.03), phase=st.floats(-3.0, 3.0), amplitude=st.floats(1e-9, 1.0))
 def test_a_noiseless_decay_yields_its_parameters(method, f_n, zeta, phase, amplitude):
     y = decay(10.0, 2000.0, f_n=f_n, zeta=zeta, phase=phase, amplitude=amplitude, offset=0.1 * amplitude)
     found = method(y, 2000.0)

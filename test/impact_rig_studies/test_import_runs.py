@@ -231,12 +231,7 @@ def test_a_record_of_three_cycles_is_too_short(tmp_path: Path) -> None:
 @pytest.mark.parametrize("units", [{"accelerometer": "g"}, {"laser": "mm"}, {"base": "g"}, {"base": "m", "laser": "g"}])
 @pytest.mark.parametrize(("rate_hz", "seconds", "hz"), [(125.0, 12.0, HZ), (10.0, 150.0, 0.2), (1.0, 400.0, 0.05)])
 def test_every_command_accepts_any_channels_and_any_rate(
-    tmp_path: Path,
-    units: dict[str, str],
-    rate_hz: float,
-    seconds: float,
-    hz: float,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, units: dict[str, str], rate_hz: float, seconds: float, hz: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A warning of matplotlib is an error in this test."""
     given = source(

@@ -48,11 +48,7 @@ class Case:
 
     def config(self, **contact: object) -> RigConfig:
         return prescribed(
-            structure={
-                "mass_kg": MASS_KG / self.mu,
-                "damping_ratio": self.zeta,
-                "natural_frequency_hz": FREQUENCY_HZ,
-            },
+            structure={"mass_kg": MASS_KG / self.mu, "damping_ratio": self.zeta, "natural_frequency_hz": FREQUENCY_HZ},
             barriers={"gap_m": self.gap * NO_IMPACT_AMPLITUDE_M},
             contact={"law": "restitution", "restitution": self.e} | contact,
         )

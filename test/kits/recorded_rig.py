@@ -189,11 +189,7 @@ def note(text: str, stamp_ns: int) -> tuple[str, Remark]:
 
 def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Provenance | None = PROVENANCE) -> Path:
     """Write messages to a run and return its directory."""
-    writer = RunWriter(
-        directory,
-        provenance=provenance,
-        clock=time.monotonic,
-    )
+    writer = RunWriter(directory, provenance=provenance, clock=time.monotonic)
     with writer:
         for name in sorted({name for name, _ in found}):
             kind = KINDS.get(name, POINT_CLOUD)

@@ -79,10 +79,7 @@ def type_hash(type_name: str) -> str:
 
 def topic(name: str, type_name: str, *qos: OfferedQos) -> TopicDescription:
     return TopicDescription(
-        name=name,
-        type_name=type_name,
-        type_hash=type_hash(type_name),
-        offered_qos=qos or (OfferedQos(),),
+        name=name, type_name=type_name, type_hash=type_hash(type_name), offered_qos=qos or (OfferedQos(),)
     )
 
 

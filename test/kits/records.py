@@ -123,10 +123,7 @@ def applied(frequency_hz, current_a=0.5, at_ns=0, time_s=0.0) -> Table:
 def feed_all(tracker, tables: Iterable[Table]):
     """Feed tables; return the rows of measurements and the tables of impacts."""
     found = [tracker.feed(table) for table in tables]
-    return (
-        [table for one in found for table in one.measurements],
-        [table for one in found for table in one.impacts],
-    )
+    return ([table for one in found for table in one.measurements], [table for one in found for table in one.impacts])
 
 
 def statuses(tables):

@@ -24,12 +24,7 @@ from impact_rig.nodes.messages import TOPICS
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "images" / "nodes.svg"
-NODES = {
-    "stepped_sine": (20, 24),
-    "rig": (20, 300),
-    "analysis": (600, 150),
-    "recorder": (600, 460),
-}
+NODES = {"stepped_sine": (20, 24), "rig": (20, 300), "analysis": (600, 150), "recorder": (600, 460)}
 """Positions of the boxes, upper left corner."""
 SIZE = (240, 64)
 SAYS = {

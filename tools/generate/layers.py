@@ -96,8 +96,7 @@ def _box(package: str, lines: list[str], place: tuple[float, float, float, float
 
 def _packages() -> str:
     return table(
-        ("package", "content"),
-        ((f"`{package}`", sentence(package)) for packages in layers() for package in packages),
+        ("package", "content"), ((f"`{package}`", sentence(package)) for packages in layers() for package in packages)
     )
 
 

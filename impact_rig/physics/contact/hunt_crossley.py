@@ -215,11 +215,7 @@ Flores = _published(
 simulation rebounded less than the drop test, too.
 """
 HuGuo = _published(
-    "hu_guo",
-    "3(1 − e)/(2e)",
-    0.325,
-    "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151",
-    lambda e: 1.5 * (1.0 - e) / e,
+    "hu_guo", "3(1 − e)/(2e)", 0.325, "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151", lambda e: 1.5 * (1.0 - e) / e
 )
 Exact = _published(
     "exact",

@@ -57,12 +57,7 @@ def test_each_cycle_is_the_least_squares_fit_of_its_samples(frequency_hz):
 
 
 @settings(max_examples=30)
-@given(
-    phase=st.floats(-7, 7),
-    step=st.floats(1e-3, 0.6),
-    samples=st.integers(30, 400),
-    harmonics=st.integers(1, 5),
-)
+@given(phase=st.floats(-7, 7), step=st.floats(1e-3, 0.6), samples=st.integers(30, 400), harmonics=st.integers(1, 5))
 def test_the_closed_form_of_the_normal_matrix_equals_the_sum(phase, step, samples, harmonics):
     angle = phase + step * np.arange(samples)
     design = np.column_stack(

@@ -132,11 +132,7 @@ _VALUES = st.one_of(
     st.builds(ParameterValue, type=st.just(1), bool_value=st.booleans()),
     st.builds(ParameterValue, type=st.just(2), integer_value=st.integers(-(2**63), 2**63 - 1) | st.integers(-3, 20)),
     st.builds(ParameterValue, type=st.just(3), double_value=st.floats()),
-    st.builds(
-        ParameterValue,
-        type=st.just(4),
-        string_value=texts,
-    ),
+    st.builds(ParameterValue, type=st.just(4), string_value=texts),
     st.builds(ParameterValue, type=st.just(9), string_array_value=st.lists(st.sampled_from(["", "a", "\u2028"]))),
     st.builds(ParameterValue, type=st.integers(0, 255)),
 )
@@ -307,11 +303,7 @@ def test_acknowledgements_of_any_stamp_and_name_do_not_move_the_rig(attacked: At
     expected = attacked.refused("rig", "daq/ack") + int(client.figures("rig")["other_acks"])
 
     @cases
-    @given(
-        st.integers(-(2**31), 2**31 - 1),
-        st.integers(0, 2**32 - 1),
-        texts,
-    )
+    @given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 2**32 - 1), texts)
     @example(2**31 - 1, 2**32 - 1, "analysis")
     @example(0, 0, "analysis")
     def attack(seconds: int, nanoseconds: int, name: str) -> None:

@@ -110,8 +110,7 @@ def test_a_second_rig_waits_until_the_first_has_ended(client: Client, mode: str)
     client.wait_until(lambda: len(scans) > 3, "blocks of the first")
     client.wait_until(lambda: starts(journal) == 1, "its start, which late subscribers receive again")
     second: RigNode = client.host(
-        RigNode,
-        parameter_overrides=ros_parameters({"time.mode": mode, "daq.seed": 2, "output.autostart": False}),
+        RigNode, parameter_overrides=ros_parameters({"time.mode": mode, "daq.seed": 2, "output.autostart": False})
     )
     second.trigger_configure()
     second.trigger_activate()

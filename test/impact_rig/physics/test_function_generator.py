@@ -34,9 +34,7 @@ TICK_S = 0.01
 
 def generator(seed: int = 1, ramp_s: float = 0.0, **drive: object) -> FunctionGenerator:
     return FunctionGenerator(
-        attrs.evolve(Drive(), amplitude=0.5, **drive),
-        attrs.evolve(Shaker(), ramp_s=ramp_s),
-        Random(seed),
+        attrs.evolve(Drive(), amplitude=0.5, **drive), attrs.evolve(Shaker(), ramp_s=ramp_s), Random(seed)
     )
 
 

@@ -175,8 +175,6 @@ def test_a_chirp_beyond_the_highest_command_is_read_correctly() -> None:
     read = []
     for highest_hz in (200.0, 1000.0):
         chirp = {"drive__waveform": "chirp", "drive__frequency_hz": 150.0, "drive__chirp_end_hz": 1000.0}
-        rig = Rig(
-            config(sphere__present=False, drive__chirp_s=0.2, shaker__frequency_max_hz=highest_hz, **chirp),
-        )
+        rig = Rig(config(sphere__present=False, drive__chirp_s=0.2, shaker__frequency_max_hz=highest_hz, **chirp))
         read.append(samples(rig.advance(20 * TICK)))
     assert same(*read)

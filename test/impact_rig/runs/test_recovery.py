@@ -30,15 +30,7 @@ import attrs
 import numpy as np
 import pytest
 import yaml
-from kits.recording import (
-    CONFIG,
-    PROVENANCE,
-    HandClock,
-    fill,
-    foreign_file,
-    scan_block,
-    string,
-)
+from kits.recording import CONFIG, PROVENANCE, HandClock, fill, foreign_file, scan_block, string
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 
@@ -307,10 +299,7 @@ def test_the_losses_of_a_damaged_run_are_reported(tmp_path):
     data = bytearray(path.read_bytes())
     data[ends[1][0] - 3] ^= 0xFF
     path.write_bytes(data)
-    with (
-        open_run(path) as run,
-        pytest.raises(RecordingError, match=r"run.mcap: the chunk at byte \d+ is damaged: "),
-    ):
+    with open_run(path) as run, pytest.raises(RecordingError, match=r"run.mcap: the chunk at byte \d+ is damaged: "):
         list(run.messages())
     report = recover(path.parent, tmp_path / "out")
     assert (report.expected_messages, report.messages) == (12, 12 - (ends[1][1] - ends[0][1]))

@@ -110,12 +110,7 @@ def test_diagnostics_are_named_by_node_and_component_with_a_device_per_rig() -> 
         for kind in (AnalysisNode, RecorderNode, SteppedSineNode):
             client.host(kind, parameter_overrides=ros_parameters({"autostart": False}))
         host_rig(client, output__autostart=False)
-        components = {
-            "rig": "simulation",
-            "analysis": "measurement",
-            "recorder": "recording",
-            "stepped_sine": "sweep",
-        }
+        components = {"rig": "simulation", "analysis": "measurement", "recorder": "recording", "stepped_sine": "sweep"}
         for node, component in components.items():
             client.wait_until(lambda node=node: node in client.diagnostics, f"diagnostics of {node}")
             status = client.status(node)

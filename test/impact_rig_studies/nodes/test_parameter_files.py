@@ -72,9 +72,7 @@ def host(client: Client, node: str, values: dict[str, Any]) -> ManagedNode[Any]:
     """Run a node under a unique name."""
     name = f"{node}{next(NUMBERS)}"
     hosted: ManagedNode[Any] = client.host(
-        NODES[node][0],
-        parameter_overrides=ros_parameters(values),
-        cli_args=["--ros-args", "-r", f"__node:={name}"],
+        NODES[node][0], parameter_overrides=ros_parameters(values), cli_args=["--ros-args", "-r", f"__node:={name}"]
     )
     return hosted
 
