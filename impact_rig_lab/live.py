@@ -230,13 +230,14 @@ class LiveSource(Source):
         rig = seen["rig"]
         word, words = state.judge(rig, seen["analysis"], doubts)
         rig_s = figure(rig.figures.get("rig_time_s"))
+        over = {name: count for name in CHANNELS if (count := figure(rig.figures.get(f"over_range.{name}")))}
         return {
             "word": word, "text": words, "waits": _waits(rig),
             "name": self._client.node.get_namespace(), "instance": rig.instance,
             "age": round(rig.age_s or 0.0), "time": rig_s,
             "speed": round(self._pace.read(rig_s or 0.0, rig.instance, stands=rig.state in STANDING), 2),
             "mode": rig.figures.get("mode", ""), "own": self._own is not None,
-            "realised": figure(rig.figures.get("realised_restitution")), "over": _over_range(rig.figures),
+            "realised": figure(rig.figures.get("realised_restitution")), "over": over,
             "motion": self._pace.is_followed,
         }  # fmt: skip
 
@@ -287,8 +288,3 @@ def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
     }
     counts = {name: count for name, value in found.items() if (count := figure(value)) is not None}
     return {name: count for name, count in counts.items() if count} if counts else None
-
-
-def _over_range(figures: Mapping[str, str]) -> dict[str, float]:
-    found = {name: figure(figures.get(f"over_range.{name}")) or 0.0 for name in CHANNELS}
-    return {name: count for name, count in found.items() if count}

@@ -57,11 +57,8 @@ ABOUT = {
 
 In such rows the column `channel` means something else: the channel that contributes most to the uncertainty.
 """
-NO_CHANGE = (
-    InputKind.FAULT,
-    InputKind.CLEAR_FAULT,
-    InputKind.STREAM,
-)  # a measurement continues; `truth/faults` reports faults
+NO_CHANGE = (InputKind.FAULT, InputKind.CLEAR_FAULT, InputKind.STREAM)
+"""Kinds of journal entries during which a measurement continues; `truth/faults` reports faults."""
 LAST_NS = 2**63  # stamp later than all others
 SAME_M = 1e-9  # gaps that differ by less than this count as equal [m]
 HIGHEST_RATE_HZ = 1e7  # highest scan rate that is accepted
@@ -281,13 +278,10 @@ class Faults:
         """Add the beginnings and ends of instrument faults in a table of `truth/faults`."""
         for row in table.rows:
             kind, channel = text(row["kind"]), text(row["channel"])
-            size = (
-                f" ({amount(float(row['value']), fault_unit(kind, channel))})"
-                if "`value`" in FAULT_KINDS.get(kind, "")
-                else ""
-            )
             stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
-            what = f"{plain(kind)} {channel}".strip() + size
+            what = f"{plain(kind)} {channel}".strip()
+            if "`value`" in FAULT_KINDS.get(kind, ""):
+                what += f" ({amount(float(row['value']), fault_unit(kind, channel))})"
             self._rows.append((stamp, int(row["id"]), bool(row["active"]), what))
 
     def in_force(self, start_ns: int, at_ns: int | None = None) -> list[str]:

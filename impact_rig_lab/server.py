@@ -619,12 +619,10 @@ class Server:
         """
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
-        if unknown or len(names) > MOST_AT_ONCE:
-            raise ImpactRigError(
-                f"{unknown[0]!r} is none of the newest {MOST_RUNS} recorded runs of this lab"
-                if unknown
-                else f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}"
-            )
+        if unknown:
+            raise ImpactRigError(f"{unknown[0]!r} is none of the newest {MOST_RUNS} recorded runs of this lab")
+        if len(names) > MOST_AT_ONCE:
+            raise ImpactRigError(f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}")
         source = PlaybackSource([known[name] for name in names])
         source.start()
         return source

@@ -168,11 +168,7 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
         waits = bool(figure(analysis.figures.get("no_impact_limit_s")))  # for a sphere: the reason says so
         return "settling", f"{capitalised(analysis.reason if waits else 'waiting until the transient has died')}."
     if analysis.state != states.AnalysisWord.MEASURING:
-        why = (
-            MEASURING.get(states.AnalysisWord(analysis.state), "")
-            if analysis.state
-            else ("the analysis reports no state")
-        )
+        why = MEASURING[states.AnalysisWord(analysis.state)] if analysis.state else "the analysis reports no state"
         why = why.format(reason=plain(analysis.reason) or "no reason given")
         return "driving", f"{capitalised(why)}."
     if doubts:

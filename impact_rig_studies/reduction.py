@@ -138,13 +138,10 @@ def damper_effect(without: NDArray[np.void], rows: NDArray[np.void], calibration
     slopes = (-b * (1.0 - a) / (1.0 - b) ** 2, a / (1.0 - b))  # by ln D_0 and ln D
     variance = np.zeros(2)
     for slope, one in zip(slopes, (without, rows), strict=True):
-        for part, u in ((slope, repeatability(one, calibration)), (1j * slope, _phase_u(one))):
+        phase_u = math.sqrt(float(np.sum(one["phase_uncertainty"] ** 2))) / len(one)
+        for part, u in ((slope, repeatability(one, calibration)), (1j * slope, phase_u)):
             variance += (u * np.array([part.real, part.imag])) ** 2
     gain = sum(slopes)
     common = math.hypot(*(float(calibration.gain_uncertainty[channel]) for channel, _ in AMPLITUDES))
     variance += (common * np.array([gain.real, gain.imag])) ** 2
     return Damper(z.real, -z.imag, math.sqrt(variance[0]), math.sqrt(variance[1]))
-
-
-def _phase_u(rows: NDArray[np.void]) -> float:
-    return math.sqrt(float(np.sum(rows["phase_uncertainty"] ** 2))) / len(rows)

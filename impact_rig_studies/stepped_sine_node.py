@@ -208,11 +208,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
 
     def _announced(self) -> str:
         points = self.settings.points()
-        return (
-            f"started: searching for the resonance from {points[0]:g} Hz on"
-            if self.settings.hold == PHASE
-            else f"sweep of {len(points)} points started"
-        )
+        if self.settings.hold == PHASE:
+            return f"started: searching for the resonance from {points[0]:g} Hz on"
+        return f"sweep of {len(points)} points started"
 
     @property
     def _running(self) -> bool:

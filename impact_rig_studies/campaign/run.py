@@ -53,7 +53,7 @@ from impact_rig_studies.campaign.plan import Campaign, Planned, load_campaign
 from impact_rig_studies.campaign.results import Curves, Point, points_of, table, write_summary
 from impact_rig_studies.campaign.statements import Verdict
 from impact_rig_studies.campaign.store import FOLDER, Store, code_fingerprint
-from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE, refuse_other_rig
+from impact_rig_studies.campaign.tasks import CONFIGURATION_FILE, refuse_other_results
 
 CAMPAIGN_FILE, PROVENANCE_FILE = "campaign.yaml", "provenance.json"
 CSV_FILE, CALIBRATION_FILE = "points.csv", "calibration.json"
@@ -143,9 +143,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     Raises:
         RecordingError: the directory cannot be written, or contains something else, or results of another rig.
     """
-    if directory.exists() and any(directory.iterdir()) and not (directory / CAMPAIGN_FILE).exists():
-        raise RecordingError(f"{directory} is not empty and holds no campaign: choose another --output")
-    refuse_other_rig(directory, campaign.base)
+    refuse_other_results(directory, "campaign", campaign.base)
     store = Store(directory)
     with files.translate_errors(f"cannot write {directory}"):
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)

@@ -104,9 +104,7 @@ class TaskStore(Generic[T]):
         Raises:
             RecordingError: the directory cannot be written, or contains something else, or results of another rig.
         """
-        if self.directory.exists() and any(self.directory.iterdir()) and not self.file.exists():
-            raise RecordingError(f"{self.directory} is not empty and holds no {self.what}: choose another --output")
-        refuse_other_rig(self.directory, base)
+        refuse_other_results(self.directory, self.what, base)
         with files.translate_errors(f"cannot write {self.directory}"):
             files.make_folder(self.directory / self.folder)
             files.write_text(self.file, text)
@@ -165,14 +163,21 @@ def _number(value: object) -> str | float:
     return found
 
 
-def refuse_other_rig(directory: Path, rig: RigConfig) -> None:
-    """Reject a directory with results of another rig than `rig`, because those of `rig` would replace them.
+def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:
+    """Reject a directory with other files than a study's, or with results of another rig, which would be replaced.
 
-    A directory without a valid `configuration.yaml` is accepted.
+    Results without a valid `configuration.yaml` are accepted.
+
+    Args:
+        directory: the directory.
+        what: kind of study, and name of the file that defines it.
+        rig: rig of the study.
 
     Raises:
-        RecordingError: the configuration differs; the message names the first difference.
+        RecordingError: it contains something else, or the configuration differs; the message names a difference.
     """
+    if directory.exists() and any(directory.iterdir()) and not (directory / f"{what}.yaml").exists():
+        raise RecordingError(f"{directory} is not empty and holds no {what}: choose another --output")
     try:
         kept = load_config(directory / CONFIGURATION_FILE)
     except ConfigError:  # none yet, damaged, or of another version

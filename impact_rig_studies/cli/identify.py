@@ -160,13 +160,10 @@ def print_identified(console: Console, found: Identified) -> None:
         f"{100 * found.chance:.1f} % of cases"
     )
     if not found.consistent:
-        where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
-        why = (
-            f"at a gap of {where} the measured motion is periodic, and that of the fitted rig is not"
-            if where
-            else "χ² is too large"
-        )
-        why = why if found.converged else "the fit has not converged"
+        why = "χ² is too large" if found.converged else "the fit has not converged"
+        if found.converged and found.contradicted:
+            where = " and ".join(f"{gap * 1e3:g} mm" for gap in found.contradicted)
+            why = f"at a gap of {where} the measured motion is periodic, and that of the fitted rig is not"
         console.print(
             f"WARNING: the model does not explain the data ({why}), so the uncertainties above are invalid. Something "
             "taken as known is wrong (contact law, e and its uncertainty, sphere, gaps), or a sensor is outside its "

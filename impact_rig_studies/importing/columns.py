@@ -199,7 +199,8 @@ def _axis(
     if clocks:
         return _clock_axis([one for one in clocks if one[0] in used])
     if dates:
-        return _date_axis(*dates)
+        name, ns = dates  # binary dates, in nanoseconds since 1970
+        return _Axis(AbscissaKind.TIME, name, "s", (ns - ns[0]) / NS_PER_S, int(ns[0])) if len(ns) else _Axis()
     if timed is None:
         timed = next(
             (name for name in list(numeric)[:1] if _unit(name, column_units) and _is_column(numeric[name])), None
@@ -254,11 +255,6 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
     return _Axis(AbscissaKind.TIME, name, "s", seconds, start_ns, note, is_clock=True)
 
 
-def _date_axis(name: str, ns: NDArray[np.int64]) -> _Axis:
-    """Return the abscissa from a column of binary dates, in nanoseconds since 1970."""
-    return _Axis(AbscissaKind.TIME, name, "s", (ns - ns[0]) / NS_PER_S, int(ns[0])) if len(ns) else _Axis()
-
-
 def _is_fraction(clocks: list[tuple[str, cells.Times]], values: Real) -> bool:
     """Return whether a column contains milliseconds to be added to times of day without a fraction of a second."""
     whole = all(bool(np.all(times.ns % NS_PER_S == 0)) for _, times in clocks)
@@ -293,11 +289,8 @@ def _time_axis(name: str, unit: str, values: Real) -> _Axis:
     if unit == "d":
         start_ns = None
         if len(finite) and EXCEL_DAYS[0] <= finite[0] <= EXCEL_DAYS[1]:
-            start_ns = (
-                round((float(values[0]) - EXCEL_EPOCH_DAYS) * DAY_S * 1e3) * 1_000_000
-                if np.isfinite(values[0])
-                else None
-            )
+            if np.isfinite(values[0]):
+                start_ns = round((float(values[0]) - EXCEL_EPOCH_DAYS) * DAY_S * 1e3) * 1_000_000
             values = values - values[0]
         return _Axis(AbscissaKind.TIME, name, "d", values * DAY_S, start_ns, note)
     if not unit:

@@ -83,15 +83,12 @@ class Channel:
         target = quantity(self.unit)
         factor = unit_factor(self.unit, target) if target in allowed else None
         if factor is None or target is None:
-            is_voltage = unit_factor(self.unit, "V") is not None
+            advice = f'--channel {name}="{self.column} {OTHER_UNIT[allowed[0]]}" states another'
+            if unit_factor(self.unit, "V") is not None:
+                advice = f'a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
             raise ConfigError(
                 f"channels.{name}.unit must be a unit of {' or '.join(allowed)}, got {self.unit!r} of signal "
-                f"{self.column!r}"
-                + (
-                    f'; a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
-                    if is_voltage
-                    else f'; --channel {name}="{self.column} {OTHER_UNIT[allowed[0]]}" states another'
-                )
+                f"{self.column!r}; {advice}"
             )
         return factor, target
 

@@ -100,7 +100,10 @@ def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
         ("fig7_near_resonance", NEAR_HZ, "The same near resonance, where the cases differ."),
     )
     for name, (low, high), what in ranges:
-        measured = {gap: _within(curves, gap, low, high) for gap in cases}
+        measured = {
+            g: [p for f, p in sorted(curves.by_gap[g].items()) if low <= f <= high and p.current_a == paper.CURRENT_A]
+            for g in cases
+        }
         theory = {gap: predicted(config, gap, np.linspace(low, high, FINE), paper.CURRENT_A) for gap in cases}
         lines = [curve_numbers(gap, points) for gap, points in measured.items()]
         lines += [_predicted_line(gap, part) for gap, parts in theory.items() for part in parts]
@@ -125,12 +128,6 @@ def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
         axes[2].set_yticks([-180, -90, 0])
         legend_below(axes[2], 4)
         yield Drawn(name, figure, f"{what} {explained}", lines)
-
-
-def _within(curves: Curves, gap: float, low: float, high: float) -> list[Point]:
-    """Return the points with a gap between two frequencies, at the paper's current, ascending."""
-    points = (p for f, p in sorted(curves.by_gap[gap].items()) if low <= f <= high)
-    return [p for p in points if p.current_a == paper.CURRENT_A]
 
 
 def _label_if_first(value: float, _: float) -> str:

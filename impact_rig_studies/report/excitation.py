@@ -335,15 +335,13 @@ def _frf(found: Frf, unit: str) -> ResultSummary:
             "u_relative": found.u_relative[found.excited],
         },
     }  # fmt: skip
-    missing = (
-        ""
-        if len(good)
-        else (
+    missing = ""
+    if not len(good):
+        missing = (
             f"No result: none of {len(found.excited)} excited lines has a coherence above {COHERENT}: noise of the "
             "sensors or distortion by the sphere hides the response. Against noise, drive harder (--rms); against "
             "distortion, measure without the sphere (--gap none)."
         )
-    )
     sentences = [
         (
             f"{len(good)} of {len(found.excited)} excited lines have a coherence above {COHERENT}; there u is "

@@ -151,10 +151,11 @@ def document(data: MeasuredData, content: Content, links: Markup) -> str:
     """
     with style():
         calibration = Calibration.from_info(data.info)
-        best = _largest(data.rows)
+        rows = data.rows
+        best = rows[np.argmax(rows["transmissibility"])][None] if len(rows) else rows  # shape (1,), or no row
         sections = [
-            section("Transmissibility", *_results(data.rows, content)),
-            section("Reduction by the sphere", *_reductions(data.rows, calibration, content)),
+            section("Transmissibility", *_results(rows, content)),
+            section("Reduction by the sphere", *_reductions(rows, calibration, content)),
             section("Uncertainty", *_uncertainty(best, calibration, content)),
             section("Motion", content.figures(data.drawn)),
             section("Instruments and their calibration", *cover.instruments_table(data.info, content)),
@@ -194,11 +195,6 @@ def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
         return ""
     low, high = (f"{one:.4g}" for one in (known.min(), known.max()))
     return f"{low} {unit}" if low == high else f"{low} to {high} {unit}"
-
-
-def _largest(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the row with the largest transmissibility, shape (1,), or no row."""
-    return rows[np.argmax(rows["transmissibility"])][None] if len(rows) else rows
 
 
 def _tiles(data: MeasuredData, best: NDArray[np.void], content: Content) -> Iterator[tuple[str, str]]:
