@@ -33,6 +33,7 @@ import errno
 import fcntl
 import io
 import itertools
+import json
 import math
 import os
 import secrets
@@ -147,6 +148,15 @@ def write_text(path: Path, text: str) -> None:
     """
     with atomic_write(path) as file:
         file.write(text.encode())
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write results as JSON, see `plain`, completely or not at all; an existing file is replaced.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_text(path, json.dumps(plain(content), indent=2) + "\n")
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -243,8 +242,8 @@ def write_summary(
     simulated_s: float,
     seed: int,
     more: Mapping[str, object],
-) -> None:
-    """Write `summary.json`, the figures of a campaign or demo for other programs; missing numbers are null.
+) -> dict[str, object]:
+    """Write `summary.json`, the figures of a campaign or demo for other programs, and return them.
 
     `lost_blocks` never reached the analysis. `wall_s` is the duration by this machine's clock, `simulated_s` by the
     rig's. `more` are further entries of the file; those of the same name take precedence.
@@ -267,7 +266,8 @@ def write_summary(
         "simulated_s": simulated_s,
         **more,
     }
-    files.write_text(directory / FILE_NAME, json.dumps(files.plain(content), indent=2) + "\n")
+    files.write_json(directory / FILE_NAME, content)
+    return content
 
 
 def _by_millimetre(values: Mapping[float, float]) -> dict[str, float]:

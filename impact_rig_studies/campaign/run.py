@@ -153,7 +153,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
             **machine.versions(LIBRARIES), "kernels": kernels.MODE,
             "machine": platform.machine(), "system": platform.platform(), "through": through,
         }  # fmt: skip
-        files.write_text(directory / PROVENANCE_FILE, json.dumps(provenance, indent=2) + "\n")
+        files.write_json(directory / PROVENANCE_FILE, provenance)
     return store
 
 
@@ -189,11 +189,14 @@ def open_finished(directory: str | Path) -> Finished:
     return finished(load_campaign(directory / CAMPAIGN_FILE, resolved=base), directory)
 
 
-def write_results(done: Finished, wall_s: float) -> None:
-    """Write `points.csv` and `summary.json` into the campaign's directory; `wall_s` is the measurement's duration."""
+def write_results(done: Finished, wall_s: float) -> dict[str, object]:
+    """Write `points.csv` and `summary.json` into the campaign's directory, and return the content of the latter.
+
+    `wall_s` is the duration of the measurement.
+    """
     files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans
-    write_summary(
+    return write_summary(
         done.directory,
         done.reductions(),
         {one.name: one.result for one in done.verdicts() if one.result is not None},

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import time
 
 from impact_rig.analysis.uncertainty_budget import rounded
@@ -27,7 +26,6 @@ from impact_rig.system import files
 from impact_rig_studies.campaign import paper, run
 from impact_rig_studies.campaign.job import Job, execute
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.campaign.results import FILE_NAME
 from impact_rig_studies.campaign.statements import Variation, Verdict, variations
 from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.campaign.tasks import measure
@@ -70,7 +68,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
             "measured again",
             style="yellow",
         )
-    run.write_results(done, time.monotonic() - started)
+    summary = run.write_results(done, time.monotonic() - started)
     verdicts = done.verdicts()
     close = _print_reductions(console, done)
     _print_verdicts(console, verdicts)
@@ -78,15 +76,14 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     _print_failed(console, done)
     _print_quiet(console, done)
     console.print(f"{len(done.points)} points; results for programs: {run.CSV_FILE}, summary.json")
-    tell_results(directory, _content(done), as_json=arguments.json)
+    tell_results(directory, {**summary, **_content(done)}, as_json=arguments.json)
     sound = close and not done.failed() and all(verdict.word != "FAIL" for verdict in verdicts)
     return 1 if arguments.check and not sound else 0
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return the printed results as data for JSON: `summary.json`, the verdicts, and the failed points."""
+    """Return the printed verdicts, margins and failed points as data for JSON."""
     return {
-        **json.loads((done.directory / FILE_NAME).read_text(encoding="utf-8")),
         "verdicts": [
             {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}
             for one in done.verdicts()

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import time
 from pathlib import Path
 
@@ -41,7 +40,7 @@ from impact_rig.system import files
 from impact_rig_studies.campaign import paper
 from impact_rig_studies.campaign.job import Job
 from impact_rig_studies.campaign.paper import DEMO_POINTS_LIMIT, Reductions
-from impact_rig_studies.campaign.results import FILE_NAME, Statement, write_summary
+from impact_rig_studies.campaign.results import Statement, write_summary
 from impact_rig_studies.operate.stepped_sine import SteppedSine
 from impact_rig_studies.report.dt import draw_reductions
 
@@ -86,7 +85,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         "no_block_lost": _judge(float(lost), 0.0),
     }
     draw_reductions(reductions, directory / "reductions.png")
-    write_summary(
+    summary = write_summary(
         directory,
         reductions,
         statements,
@@ -102,7 +101,6 @@ def run_demo(arguments: argparse.Namespace) -> int:
     if failed:
         console.print(f"these checks failed: {', '.join(failed)}", style="red")
     console.print(f"figure: reductions.png; results for programs: summary.json; runs: {', '.join(RUNS.values())}")
-    summary = json.loads((directory / FILE_NAME).read_text(encoding="utf-8"))
     tell_results(directory, {"runs": list(RUNS.values()), **summary}, as_json=arguments.json)
     return 1 if failed else 0
 

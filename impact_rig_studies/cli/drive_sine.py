@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -248,7 +247,7 @@ def _write(
 ) -> None:
     """Write the results of a test: the rows with the columns `names` as CSV, `content` as JSON."""
     files.write_csv(directory / f"{test}.csv", names, rows)
-    files.write_text(directory / f"{test}.json", json.dumps(files.plain(content), indent=2) + "\n")
+    files.write_json(directory / f"{test}.json", content)
 
 
 def _tell(

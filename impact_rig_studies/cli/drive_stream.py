@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
@@ -196,7 +195,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
             ("Rate", f"{arguments.scan_rate} Hz"),
             ("Recording", f"{visible(directory.name)}; impact-rig verify re-simulates it"),
         ]
-        files.write_text(directory / f"{test}.json", json.dumps(files.plain(figures), indent=2) + "\n")
+        files.write_json(directory / f"{test}.json", figures)
         page = directory / f"{test}.html"
         # an ending that takes too long is cut short, so the sentences come first
         files.write_text(page, document(title, about, summary, early, drawn=False))

@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections import Counter
 
@@ -153,7 +152,7 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
         "measured_tasks": measured, "wall_s": wall_s, **({"without_results": missing} if missing else {}),
         **_summary(done),
     }  # fmt: skip
-    files.write_text(directory / f"{kind}.json", json.dumps(files.plain(content), indent=2) + "\n")
+    files.write_json(directory / f"{kind}.json", content)
     if not arguments.no_figures:
         from impact_rig_studies.dynamics.figures import drawn  # noqa: PLC0415  # matplotlib
 

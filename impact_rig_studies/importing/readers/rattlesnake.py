@@ -82,6 +82,6 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     remarks: tuple[str, ...] = ()
     if len(streams) > 1:
         lengths_s = {one.origin.partition(",")[0]: len(one.values) / rate_hz for one in signals.values()}
-        words = ", ".join(f"{name} {length_s:g} s" for name, length_s in lengths_s.items())
-        remarks = (f"{len(streams)} streams ({words}): names without a prefix are of the longest, {longest}",)
+        lengths = ", ".join(f"{name} {length_s:g} s" for name, length_s in lengths_s.items())
+        remarks = (f"{len(streams)} streams ({lengths}): names without a prefix are of the longest, {longest}",)
     return ImportedSignals(path, "Rattlesnake netCDF4", signals, left_out=tree.left_out, remarks=remarks)
