@@ -32,6 +32,12 @@ def checkout() -> Reach:
     return Reach()
 
 
+def write_tree(root: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+
+
 @pytest.mark.parametrize(
     ("changed", "reached", "left_out"),
     [
@@ -105,10 +111,7 @@ def test_modules_found_in_a_folder_and_started_programs_are_followed(tmp_path: P
         "test/impact_rig_lab/conftest.py": "from impact_rig.laws import LAWS",
         "test/impact_rig_lab/test_page.py": "",
     }
-    for name, text in files.items():
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+    write_tree(tmp_path, files)
     found = Reach(tmp_path).files(["impact_rig/laws/new.py"])
     assert found is not None
     assert {path for path in found if "/test_" in path} == {"test/test_program.py", "test/impact_rig_lab/test_page.py"}
@@ -146,10 +149,7 @@ def test_a_public_name_is_followed_to_the_module_that_defines_it(tmp_path: Path,
         "test/test_user.py": code,
         "test/test_other.py": "import impact_rig\nimpact_rig.Rig()",
     }
-    for name, text in files.items():
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+    write_tree(tmp_path, files)
     assert Reach(tmp_path).files(["impact_rig/simulation.py"]) == {"impact_rig/simulation.py", "test/test_user.py"}
 
 

@@ -30,10 +30,11 @@ from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
 from impact_rig.blocks import Table
 from impact_rig.instruments.fault import Fault
-from impact_rig.recording import Provenance, RunWriter, TopicDescription
+from impact_rig.recording import Provenance, RunWriter, TopicDescription, open_run
 from impact_rig.rig import Rig, journal
 from impact_rig.rig.config import RigConfig, dump, from_flat
 from impact_rig.rig.journal import JournalEntry
+from impact_rig.runs import reanalysis
 from impact_rig.simtime import stamp_ns
 from impact_rig.testing import LocalRig
 
@@ -185,6 +186,14 @@ class Remark:
 def note(text: str, stamp_ns: int) -> tuple[str, Remark]:
     """Return a remark on the topic `notes`, for `record`."""
     return "notes", Remark(text, stamp_ns)
+
+
+def agreement(path: Path, rig: str | None = None) -> reanalysis.Agreement:
+    """Analyse a run again, and compare the results with those that were published live."""
+    with open_run(path, rig) as run:
+        findings = list(reanalysis.analyze(run))
+        impacts = [table for one in findings for table in one.impacts]
+        return reanalysis.compare(run, reanalysis.measurements(iter(findings)), impacts)
 
 
 def record(directory: Path, found: Iterable[tuple[str, Any]], provenance: Provenance | None = PROVENANCE) -> Path:

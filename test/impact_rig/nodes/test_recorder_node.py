@@ -42,6 +42,7 @@ from impact_rig.errors import RecordingError
 from impact_rig.nodes import messages
 from impact_rig.nodes.managed import Level
 from impact_rig.nodes.recorder_node import RecorderNode
+from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
 from impact_rig.recording.losses import RECORD_NAME, read_record
 from impact_rig.runs import info, recorded_journal
@@ -59,11 +60,16 @@ def recording(client: Client) -> bool:
     return client.status("recorder").message == "recording"
 
 
-def test_a_run_contains_every_message_and_the_configuration(client: Client, tmp_path: Path) -> None:
-    host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"], daq__seed=77, barriers__gap_m=0.002)
+def host_both(client: Client, directory: Path, **values: object) -> tuple[RecorderNode, RigNode]:
+    """Host a recorder and a rig that waits for it, until the recording has begun."""
+    recorder, rig = host_recorder(client, directory), host_rig(client, time__peers=["recorder"], **values)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: recording(client), "the recorder")
+    return recorder, rig
+
+
+def test_a_run_contains_every_message_and_the_configuration(client: Client, tmp_path: Path) -> None:
+    host_both(client, tmp_path, daq__seed=77, barriers__gap_m=0.002)
     client.command(frequency_hz=9.1, current_a=0.52)
     client.note("first light")
     client.step(50)
@@ -226,10 +232,7 @@ def test_a_recorder_whose_disk_fails_stops_acknowledging(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return really(descriptor, data)
 
-    host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3)
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    host_both(client, tmp_path, time__peer_timeout_s=0.3)
     client.step(5)
     monkeypatch.setattr(os, "write", full)  # from now on no file of the recording takes a byte
     client.wait_until(lambda: client.status("recorder").message.startswith("recording stopped"), "the reason")
@@ -240,10 +243,7 @@ def test_a_recorder_whose_disk_fails_stops_acknowledging(
 
 def test_all_rapid_changes_of_calibration_and_configuration_are_recorded(client: Client, tmp_path: Path) -> None:
     """The recorder is busy with other work while all the changes are made."""
-    recorder = host_recorder(client, tmp_path)
-    rig = host_rig(client, time__peers=["recorder"])
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    recorder, rig = host_both(client, tmp_path)
     client.step(1)
     changes = 300
     for number in range(changes):  # nothing is spun meanwhile
@@ -263,10 +263,7 @@ def test_all_rapid_changes_of_calibration_and_configuration_are_recorded(client:
 
 def test_several_publishers_of_a_topic_are_not_taken_for_a_loss(client: Client, tmp_path: Path) -> None:
     """Two operators send commands and remarks: each has its own sequence numbers."""
-    host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"])
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    host_both(client, tmp_path)
     others = [client.host(Node, node_name=f"operator_{number}") for number in range(2)]
     outlets = [
         (node.create_publisher(Float64, topics.FREQUENCY.name, messages.profile(topics.FREQUENCY.qos)),
@@ -288,10 +285,7 @@ def test_several_publishers_of_a_topic_are_not_taken_for_a_loss(client: Client, 
 
 
 def test_lost_messages_are_reported_by_topic_and_noted_in_the_file(client: Client, tmp_path: Path) -> None:
-    recorder = host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"])
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    recorder, _ = host_both(client, tmp_path)
     client.step(1)
     (inlet,) = [one for one in recorder.subscriptions if one.topic_name == "/shaker/applied"]
     really, arrived = inlet.callback, []
@@ -316,10 +310,7 @@ def test_lost_messages_are_reported_by_topic_and_noted_in_the_file(client: Clien
 
 def test_a_message_replaced_by_a_newer_one_does_not_count_as_lost(client: Client, tmp_path: Path) -> None:
     """The rig keeps only its newest robot description, so a busy recorder receives a part of them."""
-    recorder = host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"])
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    recorder, _ = host_both(client, tmp_path)
     (inlet,) = [one for one in recorder.subscriptions if one.topic_name == f"/{topics.ROBOT_DESCRIPTION.name}"]
     really, arrived = inlet.callback, []
 
@@ -372,10 +363,7 @@ def test_acknowledged_blocks_are_complete_on_every_topic(client: Client, tmp_pat
 def test_after_a_loss_nothing_is_acknowledged_until_the_recording_is_stopped(
     client: Client, tmp_path: Path, topic: topics.Topic
 ) -> None:
-    recorder = host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"], time__peer_timeout_s=0.3, output__monitor_rate_hz=100.0)
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    recorder, _ = host_both(client, tmp_path, time__peer_timeout_s=0.3, output__monitor_rate_hz=100.0)
     client.step(2)
     (inlet,) = [one for one in recorder.subscriptions if one.topic_name == f"/{topic.name}"]
     really, arrived = inlet.callback, []
@@ -444,10 +432,7 @@ def test_latched_results_of_earlier_cases_are_not_part_of_a_run(client: Client, 
 
 
 def test_the_calibration_is_attached_as_readable_text(client: Client, tmp_path: Path) -> None:
-    host_recorder(client, tmp_path)
-    host_rig(client, time__peers=["recorder"])
-    client.wait_active("rig", "recorder")
-    client.wait_until(lambda: recording(client), "the recorder")
+    host_both(client, tmp_path)
     client.step(5)
     client.set_parameters("rig", {"instruments.laser.lag_s": 0.001})
     client.step(5)

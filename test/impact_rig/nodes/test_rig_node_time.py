@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from impact_rig import codec, topics
 from impact_rig.client import Client, ServiceFailedError
-from impact_rig.client.client import Received
+from impact_rig.client.client import Collector, Received
 from impact_rig.nodes import publishers
 from impact_rig.nodes.messages import nanoseconds
 from impact_rig.nodes.pacing import Pacer
@@ -159,7 +160,8 @@ def test_a_paused_rig_is_stepped_block_by_block_and_stays_paused(client: Client,
     assert node.refusals.counts.total() == 0
 
 
-def test_a_pause_defers_the_remaining_blocks_of_a_step(client: Client) -> None:
+def waiting_step(client: Client) -> tuple[Collector, Any]:
+    """Start a rig and a step of 100 blocks, two of which come without an acknowledgement; return scans and answer."""
     host_rig(client, time__peers=["client"])
     scans = client.collect("daq/scan")
     client.wait_active("rig")
@@ -168,6 +170,11 @@ def test_a_pause_defers_the_remaining_blocks_of_a_step(client: Client) -> None:
     client.wait_until(step.service_is_ready, "the service")
     answer = step.call_async(Trigger.Request())
     client.wait_until(lambda: len(scans) == 2, "the window")
+    return scans, answer
+
+
+def test_a_pause_defers_the_remaining_blocks_of_a_step(client: Client) -> None:
+    scans, answer = waiting_step(client)
     pause = client.node.create_client(SetBool, "rig/pause").call_async(SetBool.Request(data=True))
     client.wait_until(lambda: "paused" in client.status("rig").message, "the pause")
     client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
@@ -185,14 +192,7 @@ def test_a_pause_defers_the_remaining_blocks_of_a_step(client: Client) -> None:
 
 def test_a_reset_ends_a_step_that_waits(client: Client) -> None:
     """The restarted rig must not continue the remaining blocks of the step."""
-    host_rig(client, time__peers=["client"])
-    scans = client.collect("daq/scan")
-    client.wait_active("rig")
-    client.set_parameters("rig", {"step.blocks": 100, "time.ack_window": 2})
-    step = client.node.create_client(Trigger, "rig/step")
-    client.wait_until(step.service_is_ready, "the service")
-    answer = step.call_async(Trigger.Request())
-    client.wait_until(lambda: len(scans) == 2, "the window")
+    scans, answer = waiting_step(client)
     client.trigger("rig/reset")
     client.wait_until(answer.done, "the answer to the step")
     assert (answer.result().success, answer.result().message) == (False, "the rig was reset")

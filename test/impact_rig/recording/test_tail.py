@@ -149,18 +149,23 @@ def test_no_message_is_recovered_twice_after_a_kill_before_the_tail_is_removed(r
         assert given_back(tmp_path / f"killed{case}", tmp_path / "out") == sent[:count]
 
 
-def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, tmp_path):
-    """The process was killed while it wrote a chunk, or while it wrote the tail."""
-    writer = record(tail=True, chunk_bytes=10_000)
+def killed(record, tmp_path, scans, chunk_bytes):
+    """Record four blocks; return the finished writer, a copy of the run before its end, and the messages."""
+    writer = record(tail=True, chunk_bytes=chunk_bytes)
     writer.add_topic(SCAN_TOPIC)
-    sent = []
-    for number in range(4):
-        sent.append(scan_block(number, scans=20))
-        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
+    sent = [scan_block(number, scans=scans) for number in range(4)]
+    for number, block in enumerate(sent):
+        writer.write(SCAN_TOPIC.name, block, 0, number)
         writer.secure()
     kept = tmp_path / "kept"
     shutil.copytree(writer.directory, kept)
     writer.finish()
+    return writer, kept, sent
+
+
+def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, tmp_path):
+    """The process was killed while it wrote a chunk, or while it wrote the tail."""
+    writer, kept, sent = killed(record, tmp_path, scans=20, chunk_bytes=10_000)
     assert not tail_of(Path(writer.files[0])).exists()
     recording, tail = kept / "run.mcap", tail_of(kept / "run.mcap")
     main_bytes, whole, secured = recording.stat().st_size, writer.files[0].read_bytes(), tail.read_bytes()
@@ -218,16 +223,7 @@ def flipped_tails(kept, whole):
 
 def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp_path):
     """The other chunks can be read without the metadata of the tail, and without the definitions in its first chunk."""
-    writer = record(tail=True, chunk_bytes=10**6)
-    writer.add_topic(SCAN_TOPIC)
-    sent = []
-    for number in range(4):
-        sent.append(scan_block(number, scans=4))
-        writer.write(SCAN_TOPIC.name, sent[-1], 0, number)
-        writer.secure()
-    kept = tmp_path / "kept"
-    shutil.copytree(writer.directory, kept)
-    writer.finish()
+    _, kept, sent = killed(record, tmp_path, scans=4, chunk_bytes=10**6)
     tail = tail_of(kept / "run.mcap")
     whole = tail.read_bytes()
     for place, damaged in flipped_tails(kept, whole):

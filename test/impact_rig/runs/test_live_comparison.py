@@ -17,11 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
 import pytest
-from kits.recorded_rig import TICK, Messages, edited, messages, record
+from kits.recorded_rig import TICK, Messages, agreement, edited, messages, record
 
 from impact_rig.analysis.settings import TrackerSettings, settings_table
 from impact_rig.analysis.tracker import Tracker
@@ -52,10 +53,7 @@ def long() -> Messages:
 
 
 def compared(directory: Path, found: Messages) -> Agreement:
-    with open_run(record(directory / "run", found)) as run:
-        findings = list(reanalysis.analyze(run))
-        impacts = [table for one in findings for table in one.impacts]
-        return reanalysis.compare(run, reanalysis.measurements(iter(findings)), impacts)
+    return agreement(record(directory / "run", found))
 
 
 def live_rows(found: Messages) -> int:
@@ -64,18 +62,22 @@ def live_rows(found: Messages) -> int:
 
 def measured_live(found: Messages, hears: Callable[[int], bool]) -> Messages:
     """Record the run again with a live analysis that knows the latched messages and receives some of the blocks."""
+    others = [one for one in found if one[0] != TABLE]
+    return fed(others, hears, lambda found: [(TABLE, row) for row in found.measurements])
+
+
+def fed(found: Messages, hears: Callable[[int], bool], results: Callable[[Any], Messages]) -> Messages:
+    """Return messages, each block of scans that the analysis receives followed by its results."""
     tracker, result = Tracker(), []
     tracker.label(0.0, 0)
     for name, table in found:
-        if name == TABLE:
-            continue
         result.append((name, table))
         if name == "daq/info":
             tracker.configure(table)
         elif name == "shaker/applied":
             tracker.on_applied(table)
         elif name == "daq/scan" and hears(table.stamp_ns):
-            result += [(TABLE, row) for row in tracker.feed(table).measurements]
+            result += results(tracker.feed(table))
     return result
 
 
@@ -251,17 +253,7 @@ def test_late_calibration_and_drive_apply_from_the_first_block(tmp_path: Path, l
 def with_impacts(**values: object) -> Messages:
     """Rig that hits its walls, with everything that its analysis publishes."""
     data = messages(6, (), **{"sphere.present": True, "barriers.gap_m": 0.002, **values})
-    tracker, result = Tracker(), []
-    tracker.label(0.0, 0)
-    for name, table in data:
-        result.append((name, table))
-        if name == "daq/info":
-            tracker.configure(table)
-        elif name == "shaker/applied":
-            tracker.on_applied(table)
-        elif name == "daq/scan":
-            result += [("impacts", row) for row in tracker.feed(table).impacts]
-    return result
+    return fed(data, lambda _: True, lambda found: [("impacts", row) for row in found.impacts])
 
 
 def test_impacts_found_live_are_compared_too(tmp_path: Path) -> None:

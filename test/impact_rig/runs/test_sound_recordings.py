@@ -15,13 +15,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from kits.recorded_rig import Messages, everything, messages, record
+from kits.recorded_rig import Messages, agreement, everything, messages, record
 from mcap.writer import Writer
 
 from impact_rig import codec, topics
@@ -33,20 +34,13 @@ from impact_rig.recording import TopicDescription, open_run
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs import info, reanalysis, recorded_journal
-from impact_rig.runs.verification import verify
+from impact_rig.runs.verification import Verification, verify
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 THIRD_VERSION = Path(__file__).parents[2] / "data" / "third_version"
 """Recorded by the third version in mid-session: what is latched has log times of up to 120 s before the first scan."""
 BESIDE = (("plot/envelope/laser", "geometry_msgs/msg/Vector3Stamped"), ("plot/truth/impacts", "std_msgs/msg/String"))
 """Topics that end like those of the rig, as a recording of everything holds them."""
-
-
-def agreement(path: Path, rig: str | None = None) -> reanalysis.Agreement:
-    with open_run(path, rig) as run:
-        findings = list(reanalysis.analyze(run))
-        impacts = [table for one in findings for table in one.impacts]
-        return reanalysis.compare(run, reanalysis.measurements(iter(findings)), impacts)
 
 
 def analysed(rig: Rig, blocks: int, deeds: dict[int, Any], until: int | None = None) -> Messages:
@@ -219,44 +213,33 @@ def test_an_analysis_some_long_blocks_behind_does_not_count_as_ended(tmp_path: P
     assert "perhaps it had ended" in ended.reason, "further behind than a rig runs ahead"
 
 
-def test_missing_samples_that_the_rig_had_not_reached_are_no_difference(tmp_path: Path) -> None:
+def verified_stream(directory: Path, pieces: Iterable[tuple[int, int, bool]], blocks: int) -> Verification:
+    """Verify the run of a streamed rig from pieces of the stream: first sample, count, and whether it is recorded."""
     rig = Rig(from_flat(RigConfig(), {"drive.waveform": "stream", "drive.amplitude": 0.0, "sphere.present": False}))
     found: list[Any] = []
-
-    def feed(first: int, count: int) -> None:
+    for first, count, is_recorded in pieces:
         rows = np.zeros(count, WAVEFORM)
         rows["value"] = 0.1
         rig.feed(first, rows["value"])
-        found.append(("shaker/waveform", Table(stamp_ns(first, rig.rate_hz, 0), rows)))
-
-    feed(0, 1600)
-    feed(2000, 1000)  # nothing from 1600 to 2000
-    for _ in range(16):
+        if is_recorded:
+            found.append(("shaker/waveform", Table(stamp_ns(first, rig.rate_hz, 0), rows)))
+    for _ in range(blocks):
         for block in rig.advance(rig.block_end_ns(1)):
             found += [("rig/journal", one) for one in rig.take_journal()]
             found.append(("daq/scan", block.scan))
-    with open_run(record(tmp_path / "run", found)) as run:
-        checked = verify(run)
+    with open_run(record(directory, found)) as run:
+        return verify(run)
+
+
+def test_missing_samples_that_the_rig_had_not_reached_are_no_difference(tmp_path: Path) -> None:
+    checked = verified_stream(tmp_path / "run", [(0, 1600, True), (2000, 1000, True)], 16)  # a gap from 1600 to 2000
     assert checked.identical, checked.reason
     assert checked.scans == 1600
 
 
 def test_a_missing_sample_that_the_rig_had_used_is_found(tmp_path: Path) -> None:
     """The rig had this sample, so its absence is a difference."""
-    rig = Rig(from_flat(RigConfig(), {"drive.waveform": "stream", "drive.amplitude": 0.0, "sphere.present": False}))
-    found: list[Any] = []
-    for first in range(0, 3000, 500):
-        rows = np.zeros(500, WAVEFORM)
-        rows["value"] = 0.1
-        rig.feed(first, rows["value"])
-        if first != 1000:
-            found.append(("shaker/waveform", Table(stamp_ns(first, rig.rate_hz, 0), rows)))
-    for _ in range(20):
-        for block in rig.advance(rig.block_end_ns(1)):
-            found += [("rig/journal", one) for one in rig.take_journal()]
-            found.append(("daq/scan", block.scan))
-    with open_run(record(tmp_path / "run", found)) as run:
-        checked = verify(run)
+    checked = verified_stream(tmp_path / "run", [(first, 500, first != 1000) for first in range(0, 3000, 500)], 20)
     assert not checked.identical
     assert "sample 1000" in checked.reason
 
