@@ -30,6 +30,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -100,19 +101,21 @@ def history(band_hz: tuple[float, float], rms_m: float, seed: int) -> Real:
     return np.asarray(asked * (rms_m / asked.std()))
 
 
-def replicated(response: Response, *, sphere: bool, seed: int) -> tuple[Replicated, float]:
-    """Replicate a history; return the stated result and the true error."""
+def replicated(
+    response: Response, *, sphere: bool, seed: int, on_step: Callable[[str], object] = lambda _: None
+) -> tuple[Replicated, float, NDArray[np.void]]:
+    """Replicate a history; return the stated result, the true error, and the true motion of the last trial."""
     superior = response is Response.SUPERIOR
     asked = history((6.0, 14.0) if superior else (6.0, 40.0), 1.5e-3 if superior else 3e-4, seed)
     plan = ReplicatePlan(response=response, identify_rms=0.15 if superior else 2.0, high_hz=25.0 if superior else 150.0)
     hardware, best, errors = TrueHardware(RATE_HZ, sphere__present=sphere, daq__seed=seed), None, math.nan
-    for best in replicate(hardware, asked, plan):
+    for best in replicate(hardware, asked, plan, on_step):
         if best.repeated is None and best.errors[-1] == min(best.errors):
             true = hardware.truth[TRUE[response]].astype(float)
             true -= true[best.quiet].mean()
             errors = best.relative(true[best.lead : best.lead + len(asked)] - asked)
     assert best is not None
-    return best, errors
+    return best, errors, hardware.truth
 
 
 def shocked(seed: int) -> tuple[Shocked, dict[str, float]]:
@@ -158,7 +161,7 @@ def judged(case: str, seed: int) -> dict[str, object]:
     """Return the stated results of a case, the truth, and whether they agree."""
     what, *how = case.split()
     if what == "replicate":
-        stated, error = replicated(Response(how[0]), sphere=how[1] == "sphere", seed=seed)
+        stated, error, _ = replicated(Response(how[0]), sphere=how[1] == "sphere", seed=seed)
         own = min(stated.errors)
         kept = error <= own + stated.floor and own <= MOST
         return {"kept": kept, "stated": own, "floor": stated.floor, "true": error}

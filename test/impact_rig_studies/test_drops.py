@@ -43,7 +43,7 @@ def test_drops_noted_in_a_run_yield_the_restitution_of_the_law(
     rig.run(seconds=1.0)
     remarks = ["the sphere is new", *(drop.text() for drop in noted)]
     path = record(tmp_path / "drops", [*scanned(rig), *(note(text, 10 * k) for k, text in enumerate(remarks))])
-    assert main(["analyze", str(path), "--drop", "0.2mm", "--figures", str(tmp_path)]) == 0
+    assert main(["analyze", str(path), "--drop", "0.2mm", "--figures", str(tmp_path), "--format", "png"]) == 0
     printed = capsys.readouterr().out
     value, u2 = map(float, re.search(r"e = ([0-9.]+) ± ([0-9.]+) \(2u\) from 8 drops", printed).groups())  # type: ignore[union-attr]  # it is there
     assert 0.0 < u2 < 0.01

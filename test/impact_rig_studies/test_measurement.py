@@ -416,7 +416,8 @@ def test_a_run_is_drawn_with_the_channels_that_it_has(tmp_path: Path) -> None:
     np.savez(tmp_path / "own.npz", a=np.sin(0.3 * np.arange(4000)), rate=1000.0)
     words = ["--channel", "accelerometer=a", "m/s^2", "--frequency", "9", "--output", str(tmp_path / "run")]
     assert main(["import", str(tmp_path / "own.npz"), *words]) == 0
-    assert main(["analyze", str(tmp_path / "run"), "--figures", str(tmp_path / "figures")]) == 0
+    words = ["analyze", str(tmp_path / "run"), "--figures", str(tmp_path / "figures"), "--format", "png"]
+    assert main(words) == 0
     assert {one.stem for one in (tmp_path / "figures").iterdir()} == {"time_traces", "spectrum"}
 
 

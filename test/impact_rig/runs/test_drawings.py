@@ -132,7 +132,7 @@ def test_the_drawn_excerpt_is_the_end_of_the_run_if_no_measurement_settled(measu
     assert not excerpt.settled
     assert excerpt.rows["time"][[0, -1]] == pytest.approx([1.5, 4.0], abs=1e-3)
     short = record(tmp_path / "short", kept[:-300])
-    assert main(["analyze", str(short), "--figures", str(tmp_path)]) == 0
+    assert main(["analyze", str(short), "--figures", str(tmp_path), "--format", "png"]) == 0
     few = record(tmp_path / "few", [one for one in kept if one[0] != "daq/scan"] + scans[:10] + scans[20:21])
     assert len(excerpt_of(few).rows) == 50
     none = record(tmp_path / "none", [(name, attrs.evolve(table, rows=np.empty(0, SCAN))) for name, table in scans[:1]])

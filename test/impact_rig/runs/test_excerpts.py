@@ -72,7 +72,8 @@ def test_a_frequency_response_is_the_closed_form_within_its_uncertainty(swept: P
 def test_the_command_prints_and_draws_a_frequency_response(
     swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["analyze", str(swept), "--frf", "--segment", "20", "--figures", str(tmp_path / "new")]) == 0
+    drawn = ["--figures", str(tmp_path / "new"), "--format", "png"]
+    assert main(["analyze", str(swept), "--frf", "--segment", "20", *drawn]) == 0
     printed = capsys.readouterr().out
     assert "coherence" in printed
     peak = float(re.search(r"largest at ([0-9.]+) Hz", printed)[1])  # type: ignore[index]  # it is there
@@ -80,7 +81,7 @@ def test_the_command_prints_and_draws_a_frequency_response(
     assert f"wrote {tmp_path}/new/frf.png\n" in printed
     assert (tmp_path / "new" / "frf.png").read_bytes().startswith(b"\x89PNG")
     assert "the true peak may be" in printed.replace("\n", " "), "20 s cannot resolve a width of 0.08 Hz"
-    assert main(["analyze", str(swept), "--frf", "--figures", str(tmp_path / "new")]) == 1
+    assert main(["analyze", str(swept), "--frf", *drawn]) == 1
     assert "frf.png exists already and is not overwritten" in capsys.readouterr().err
 
 

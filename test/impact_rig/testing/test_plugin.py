@@ -145,13 +145,13 @@ def test_a_rig_of_a_module_or_session_is_reset_for_each_test(
 @pytest.mark.ros
 @pytest.mark.pipeline
 def test_each_failure_names_a_complete_run_in_an_environment_like_that_of_a_container() -> None:
-    """Ten of the fifty tests that `qualification/container_tests.py` runs."""
-    program = [sys.executable, str(ROOT / "qualification/container_tests.py"), "--tests", "10"]
+    """Eight of the fifty tests that `qualification/container_tests.py` runs, with all five that fail."""
+    program = [sys.executable, str(ROOT / "qualification/container_tests.py"), "--tests", "8"]
     if os.getuid() == 0 and subprocess.run(["unshare", "--mount", "true"], check=False).returncode:
         pytest.skip("this machine allows no mounts of one's own")
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "10 tests, 5 failures, each with a complete run" in done.stdout
+    assert "8 tests, 5 failures, each with a complete run" in done.stdout
 
 
 MARKED = """
