@@ -16,7 +16,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from impact_rig.errors import ConfigError, ImpactRigError
 from impact_rig.physics.sampling import QUANTITIES, Trajectory
 from impact_rig.physics.simulation import Motion
 from impact_rig.rig import Rig
-from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.rig.config import RigConfig, dump, from_flat
 
 fmpy = pytest.importorskip("fmpy", reason="pip install fmpy")
 pytestmark = pytest.mark.skipif(kernels.MODE != "library", reason="kernels run otherwise here")
@@ -106,11 +106,28 @@ class Unit:
         return self.get([*MOTIONS, *(READINGS + i for i in range(self.channels))])
 
 
+Written = Callable[..., Path]
+"""Function that returns the file of a unit, for a configuration and a version."""
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    """Return a function that compiles each unit once."""
+    found: dict[tuple[str, str], Path] = {}
+
+    def file(config: RigConfig, version: str = VERSIONS[0]) -> Path:
+        key = dump(config), version
+        if key not in found:
+            found[key] = tmp_path_factory.mktemp("fmu") / "rig.fmu"
+            write_fmu(config, found[key], version)
+        return found[key]
+
+    return file
+
+
 @pytest.fixture(scope="module", params=VERSIONS)
-def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    found = tmp_path_factory.mktemp("fmu") / "rig.fmu"
-    write_fmu(RigConfig(), found, request.param)
-    return found
+def path(request: pytest.FixtureRequest, written: Written) -> Path:
+    return written(RigConfig(), request.param)
 
 
 @pytest.fixture
@@ -126,10 +143,10 @@ def test_the_unit_is_valid(path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_unit_of_samples_is_valid(version: str, tmp_path: Path) -> None:
+def test_a_unit_of_samples_is_valid(version: str, tmp_path: Path, written: Written) -> None:
     validate = pytest.importorskip("fmpy.validation").validate_fmu
-    write_fmu(of_samples(1000, "first_order"), tmp_path / "rig.fmu", version)
-    assert validate(str(tmp_path / "rig.fmu")) == []
+    path = written(of_samples(1000, "first_order"), version)
+    assert validate(str(path)) == []
 
 
 def test_outputs_have_the_documented_names(path: Path) -> None:
@@ -155,10 +172,12 @@ def test_a_unit_yields_the_bits_of_the_rig(unit: Unit, ticks: int) -> None:
 
 
 @pytest.mark.parametrize("changes", CHANGES, ids=str)
-def test_a_unit_of_another_rig_yields_the_bits_of_that_rig(changes: dict[str, Any], tmp_path: Path) -> None:
+def test_a_unit_of_another_rig_yields_the_bits_of_that_rig(
+    changes: dict[str, Any], tmp_path: Path, written: Written
+) -> None:
     config = from_flat(RigConfig(), changes)
-    write_fmu(config, tmp_path / "rig.fmu")
-    unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
+    path = written(config)
+    unit, native = Unit(path, tmp_path / "unpacked"), Native(config)
     unit.set(1, 8.9)
     unit.set(2, 0.5)
     native.rig.accept(8.9, 0.5)
@@ -247,7 +266,7 @@ def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
     ("rate_hz", "seconds", "version"), [(1000, 1.0, "2.0"), (10_000, 0.5, "3.0"), (777, 1.0, "3.0")]
 )
 def test_a_unit_of_samples_yields_the_bits_of_a_rig_with_the_same_samples(
-    rate_hz: int, seconds: float, version: str, hold: str, tmp_path: Path
+    rate_hz: int, seconds: float, version: str, hold: str, tmp_path: Path, written: Written
 ) -> None:
     """Compare motion and impacts at the end of each step, and the newest readings that are complete by then."""
     config, steps, ahead = of_samples(rate_hz, hold), round(rate_hz * seconds), hold == "first_order"
@@ -262,8 +281,8 @@ def test_a_unit_of_samples_yields_the_bits_of_a_rig_with_the_same_samples(
     chain = native.rig._chain
     rows = native.rows
     last_skew, period = chain._clock.skews[-1], chain._clock.lengths.period
-    write_fmu(config, tmp_path / "rig.fmu", version)
-    unit = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked")
+    path = written(config, version)
+    unit = Unit(path, tmp_path / "unpacked")
     begin(unit, values[0])
     for k in range(steps):
         unit.set(2, values[k + ahead])
@@ -276,11 +295,13 @@ def test_a_unit_of_samples_yields_the_bits_of_a_rig_with_the_same_samples(
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_state_restored_between_ticks_leads_to_the_same_future(version: str, tmp_path: Path) -> None:
+def test_a_state_restored_between_ticks_leads_to_the_same_future(
+    version: str, tmp_path: Path, written: Written
+) -> None:
     """Steps have uneven lengths; some states lie within a contact, whose readings are not complete yet."""
     config = of_samples(10_000, "first_order", **{"barriers.gap_m": 0.002})
-    write_fmu(config, tmp_path / "rig.fmu", version)
-    unit, other = (Unit(tmp_path / "rig.fmu", tmp_path / f"unpacked_{i}") for i in range(2))
+    path = written(config, version)
+    unit, other = (Unit(path, tmp_path / f"unpacked_{i}") for i in range(2))
     begin(unit, 0.0)
     begin(other, 0.3)  # forgotten
     get, pack = ("getFMUstate", "serializeFMUstate") if unit.two else ("getFMUState", "serializeFMUState")
@@ -311,10 +332,10 @@ def test_a_state_restored_between_ticks_leads_to_the_same_future(version: str, t
     other.fmu.freeInstance()
 
 
-def test_a_new_gap_takes_effect_at_the_next_tick(tmp_path: Path) -> None:
+def test_a_new_gap_takes_effect_at_the_next_tick(tmp_path: Path, written: Written) -> None:
     config = of_samples(1000, "zero_order")
-    write_fmu(config, tmp_path / "rig.fmu")
-    unit, native = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked"), Native(config)
+    path = written(config)
+    unit, native = Unit(path, tmp_path / "unpacked"), Native(config)
     values = drive_of(1000, 400)
     native.rig.feed(0, values)
     begin(unit, values[0])
@@ -333,11 +354,11 @@ def test_a_new_gap_takes_effect_at_the_next_tick(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("value", "length"), [(1e3, 0.001), (float("nan"), 0.001), (0.1, 0.0)])
 def test_samples_out_of_range_and_steps_of_zero_length_are_rejected(
-    value: float, length: float, tmp_path: Path
+    value: float, length: float, tmp_path: Path, written: Written
 ) -> None:
-    write_fmu(of_samples(1000, "zero_order"), tmp_path / "rig.fmu")
-    unit = Unit(tmp_path / "rig.fmu", tmp_path / "unpacked")
-    names = [one.name for one in fmpy.read_model_description(str(tmp_path / "rig.fmu")).modelVariables]
+    path = written(of_samples(1000, "zero_order"))
+    unit = Unit(path, tmp_path / "unpacked")
+    names = [one.name for one in fmpy.read_model_description(str(path)).modelVariables]
     assert "frequency" not in names
     unit.set(2, value)
     with pytest.raises(Exception, match=r"fmi3|[23]"):
@@ -364,7 +385,9 @@ def test_values_out_of_range_are_rejected(unit: Unit, reference: int, value: flo
         unit.step(0.0, 0.01)
 
 
-def test_the_log_names_the_value_and_the_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_log_names_the_value_and_the_range(
+    tmp_path: Path, written: Written, capsys: pytest.CaptureFixture[str]
+) -> None:
     for config, cases in (
         (
             RigConfig(),
@@ -385,9 +408,9 @@ def test_the_log_names_the_value_and_the_range(tmp_path: Path, capsys: pytest.Ca
             ),
         ),
     ):
-        write_fmu(config, tmp_path / "rig.fmu")
-        description = fmpy.read_model_description(str(tmp_path / "rig.fmu"))
-        folder = fmpy.extract(str(tmp_path / "rig.fmu"), str(tmp_path / config.drive.waveform))
+        path = written(config)
+        description = fmpy.read_model_description(str(path))
+        folder = fmpy.extract(str(path), str(tmp_path / config.drive.waveform))
         for reference, value, length, said in cases:
             fmu = fmpy.instantiate_fmu(folder, description, "CoSimulation", debug_logging=True)
             fmu.enterInitializationMode()

@@ -65,10 +65,19 @@ def excerpt_of(path: Path) -> Excerpt:
         return last_excerpt(opened, list(reanalysis.analyze(opened)))
 
 
-def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Path) -> None:
-    where = tmp_path / "new" / "figures"
+Drawn = tuple[Path, subprocess.CompletedProcess[str]]
+"""Folder of the figures, and the ended process that drew them."""
+
+
+@pytest.fixture(scope="module")
+def drawn(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Drawn:
+    where = tmp_path_factory.mktemp("drawn") / "new" / "figures"
     command = [*CLI, "analyze", str(run), "--figures", str(where)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return where, subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_command_line_draws_and_names_what_it_wrote(drawn: Drawn) -> None:
+    where, done = drawn
     assert done.returncode == 0, done.stderr
     assert "of the last settled measurement" in done.stdout
     assert "nothing to compare with" in done.stdout
@@ -81,13 +90,13 @@ def test_the_command_line_draws_and_names_what_it_wrote(run: Path, tmp_path: Pat
         assert int.from_bytes(header[16:20]) > 1000, "pixels wide"
 
 
-def test_the_curve_of_a_run_is_printable_and_reproducible(run: Path, tmp_path: Path) -> None:
+def test_the_curve_of_a_run_is_printable_and_reproducible(run: Path, drawn: Drawn, tmp_path: Path) -> None:
     """Axes have quantities and units, the legend has gap, current and ± 2u, and no file has a date."""
-    for where in ("first", "second"):
-        assert main(["analyze", str(run), "--figures", str(tmp_path / where)]) == 0
-    for first in (tmp_path / "first").iterdir():
-        assert first.read_bytes() == (tmp_path / "second" / first.name).read_bytes(), first.name
-    texts = " ".join(ET.fromstring((tmp_path / "first" / "curves.svg").read_bytes()).itertext())
+    first, _ = drawn
+    assert main(["analyze", str(run), "--figures", str(tmp_path / "again")]) == 0
+    for again in (tmp_path / "again").iterdir():
+        assert again.read_bytes() == (first / again.name).read_bytes(), again.name
+    texts = " ".join(ET.fromstring((first / "curves.svg").read_bytes()).itertext())
     assert "frequency (Hz)" in texts
     assert re.search(r"gap unknown, 0\.\d+ (to 0\.\d+ )?A, ± 2u", texts)
 
