@@ -42,9 +42,9 @@ from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies import prediction
-from impact_rig_studies.campaign.job import execute
+from impact_rig_studies.campaign.job import Job, execute, start_local
 from impact_rig_studies.campaign.pool import in_parallel
-from impact_rig_studies.closed_loop import hold, with_short_blocks
+from impact_rig_studies.operate.operator import operate
 from impact_rig_studies.operate.phase_lock import (
     AmplitudePoint,
     AmplitudeSweep,
@@ -53,9 +53,10 @@ from impact_rig_studies.operate.phase_lock import (
     follow,
     measure_backbone,
     run_phase_lock,
+    with_short_blocks,
 )
 from impact_rig_studies.operate.plans import Hold, HoldPlan, LockPlan
-from impact_rig_studies.operate.stepped_sine import SweepState
+from impact_rig_studies.operate.stepped_sine import ControlledSine, SweepState
 from impact_rig_studies.prediction import Manifold
 from qualification.prediction import job, tell
 
@@ -84,6 +85,13 @@ def main() -> int:
     return 1 if bad else 0
 
 
+def hold(one: Job, plan: HoldPlan) -> ControlledSine:
+    """Measure a job's points in this process while a controller keeps an amplitude, and return the sweep."""
+    sweep = ControlledSine(one.plan(), plan)
+    operate(sweep, start_local(one))
+    return sweep
+
+
 def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, float, str]:
     """Return error, DT held, its spread, DT prescribed, cycles and regime at (gap [m], frequency [Hz]).
 
@@ -92,7 +100,7 @@ def _held_pair(place: tuple[float, float]) -> tuple[float, float, float, float, 
     gap, frequency = place
     for repetitions in (1, MANY):
         one = attrs.evolve(job(frequency, gap), repetitions=repetitions, analysis=LONG)
-        rows = hold(one, HoldPlan(hold=Hold.BASE, target=BASE_M, tolerance=3e-3)).rows
+        rows = hold(one, HoldPlan(hold=Hold.BASE, target=BASE_M, tolerance=3e-3)).controlled
         if np.all(rows["regime"] == b"periodic"):
             break
     other = attrs.evolve(one, changes={**one.changes, "drive.kind": "prescribed"}, current_a=BASE_M)
@@ -113,7 +121,7 @@ def holding(_draw: bool) -> Iterator[Finding]:
         job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=FREQUENCIES_HZ
     )
     for what, target in ((Hold.BASE, BASE_M), (Hold.SUPERIOR, 3e-3), (Hold.CURRENT, 0.3)):
-        rows = hold(linear, HoldPlan(hold=what, target=target)).rows
+        rows = hold(linear, HoldPlan(hold=what, target=target)).controlled
         worst = float(np.abs(rows["error"]).max())
         wanted = np.abs(transmissibility(RigConfig(), rows["frequency"]))
         in_u = float(np.max(np.abs(rows["transmissibility"] - wanted) / rows["transmissibility_uncertainty"]))

@@ -36,7 +36,6 @@ from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.system import files
 from impact_rig_studies.campaign.job import Job
-from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.operator import operate
 from impact_rig_studies.operate.phase_lock import (
     FEWEST,
@@ -46,6 +45,7 @@ from impact_rig_studies.operate.phase_lock import (
     mean,
     measure_backbone,
     run_phase_lock,
+    with_short_blocks,
 )
 from impact_rig_studies.operate.plans import Direction, Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import ControlledSine, SteppedSine, SweepState

@@ -50,6 +50,7 @@ from impact_rig.analysis.scans import BASE, CHANNELS, CURRENT, LASER
 from impact_rig.analysis.spread import student_factor, variance_of_mean
 from impact_rig.blocks import SWEEP, Table
 from impact_rig.driver import RigDriver
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig_studies.operate.plans import LockPlan, Reference
@@ -512,13 +513,19 @@ class LockedSine:
 
 FEWEST = 6  # number of samples from which their scatter is meaningful
 NEVER_S = 1e9  # rig time that no test reaches
+BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50 ms
+
+
+def with_short_blocks(config: RigConfig) -> RigConfig:
+    """Return the configuration with blocks of 50 ms, so that a controller can react after each (`BLOCKS_PER_S`)."""
+    return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})
 
 
 class LockLoop:
     """Rig that a program drives through a phase lock: it sets the drive and takes samples; time advances in `sample`.
 
     Args:
-        rig: the rig; its blocks of scans must be short compared with a sample.
+        rig: the rig; its blocks of scans must be short compared with a sample, see `with_short_blocks`.
     """
 
     def __init__(self, rig: RigDriver) -> None:

@@ -28,11 +28,11 @@ from impact_rig.rig.gaps import NO_SPHERE
 from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 from impact_rig_studies.campaign.job import execute
-from impact_rig_studies.closed_loop import hold
 from impact_rig_studies.operate.operator import operate
 from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
 from impact_rig_studies.operate.stepped_sine import ControlledSine, Setpoint, SweepState
 from qualification import prediction as by_test
+from qualification.closed_loop import hold
 
 PLAN = SweepPlan(frequencies_hz=(8.0, 9.0), current_a=0.3, direction="up_down")
 HELD = HoldPlan(hold=Hold.BASE, target=1e-4)
@@ -142,9 +142,9 @@ def test_the_base_of_the_linear_rig_is_held_and_dt_is_the_closed_form(what, targ
         by_test.job(9.0, 6e-3), changes={"sphere.present": False}, gap_m=NO_SPHERE, frequencies_hz=(8.8, 9.2)
     )
     found = hold(job, HoldPlan(hold=what, target=target))
-    assert found.failure == ""
-    assert np.all(np.abs(found.rows["error"]) <= 0.005)
-    for row in found.rows:
+    assert found.reason == ""
+    assert np.all(np.abs(found.controlled["error"]) <= 0.005)
+    for row in found.controlled:
         wanted = abs(complex(transmissibility(RigConfig(), float(row["frequency"]))))
         assert abs(row["transmissibility"] - wanted) <= 2.0 * row["transmissibility_uncertainty"], row
 
@@ -153,7 +153,7 @@ def test_a_held_base_yields_the_dt_of_a_prescribed_drive():
     """All gaps and frequencies are checked by `python -m qualification.closed_loop`."""
     job = by_test.job(9.4, 10e-3)
     found = hold(job, HoldPlan(hold=Hold.BASE, target=60e-6))
-    assert found.rows["held"].tolist() == [1.0]
+    assert found.controlled["held"].tolist() == [1.0]
     prescribed = attrs.evolve(job, changes={**job.changes, "drive.kind": "prescribed"}, current_a=60e-6)
     rows = execute(prescribed).rows
     assert combined(rows) > 0.0

@@ -27,7 +27,6 @@ from impact_rig.errors import ConfigError
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
-from impact_rig_studies.closed_loop import with_short_blocks
 from impact_rig_studies.operate.phase_lock import (
     AmplitudeSweep,
     LockLoop,
@@ -38,6 +37,7 @@ from impact_rig_studies.operate.phase_lock import (
     mean,
     measure_backbone,
     run_phase_lock,
+    with_short_blocks,
 )
 from impact_rig_studies.operate.plans import LockPlan, Reference
 from impact_rig_studies.operate.stepped_sine import SweepState
