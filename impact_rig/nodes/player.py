@@ -14,8 +14,8 @@
 """Playback of a recorded run onto the graph, at a multiple of real time or as fast as named peers acknowledge.
 
 The recorded bytes are published unchanged, so an analysis of the playback finds the same results as the original one.
-Messages that were recorded before the first scan (calibration, journal, settings) are sent at once, as their times may
-be hours earlier.
+Messages that were recorded before the first scan (calibration, journal, settings) are sent at once, also by a paused
+player, as their times may be hours earlier.
 """
 
 from __future__ import annotations
@@ -174,7 +174,8 @@ class Player:
                     f"{self._run.path}: a message on {message.topic} is {pause_h:.4g} h later than the one before; a "
                     f"pause of more than {LONGEST_PAUSE_NS // (3600 * NS_PER_S)} h cannot be replayed"
                 )
-            while message.log_time > self.start_ns and self._must_wait(message.log_time):
+            waits = message.log_time > self.start_ns or message.topic == self._scan
+            while waits and self._must_wait(message.log_time):
                 yield from self._wait(self._time_left_s(message.log_time))
             self.now_ns = max(self.now_ns, message.log_time)
             if message.topic == self._scan:
@@ -236,9 +237,10 @@ class Player:
         offered = [qos for qos in topic.offered_qos_yaml() if isinstance(qos, dict)]
         relative = self._run.relative(topic.name)
         known = next((row for row in TOPICS if row.name in (topic.name, relative)), None)
-        latched = any(qos.get("durability") == "transient_local" for qos in offered)
         profile = messages.profile(known.qos if known else topics.Qos.DATA)
-        profile.durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        if offered:  # a rig without ROS records no quality of service
+            latched = any(qos.get("durability") == "transient_local" for qos in offered)
+            profile.durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         try:
             return self._node.create_publisher(messages.message_class(topic.type_name), topic.name, profile)
         except NameValidationException as error:

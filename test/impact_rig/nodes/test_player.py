@@ -58,6 +58,23 @@ def test_a_run_is_replayed_repeatedly_at_the_pace_of_acknowledgements(
             client.wait_until(lambda played=played: len(scans) == played * BLOCKS, "every block")
 
 
+def test_a_paused_player_sends_the_calibration_but_no_scan(client: Client, run: Path) -> None:
+    """What a user sets before the replay continues, such as a gap label, then acts from the first scan on."""
+    with Run(run) as opened:
+        playing, scans = follow(client, opened)
+        calibration = client.collect("daq/info")
+        playing.paused = True
+        rounds = playing.play()
+        client.wait_until(lambda: next(rounds) is not None and len(calibration), "the calibration")
+        for _ in range(10):
+            next(rounds)
+        assert not len(scans)
+        playing.paused = False
+        for _ in rounds:
+            pass
+        client.wait_until(lambda: len(scans) == BLOCKS, "every block")
+
+
 def test_a_player_that_was_suspended_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Acknowledgements sent while this process was suspended are still read, and the replay continues."""
     monkeypatch.setattr(player, "PEER_TIMEOUT_S", 0.5)
