@@ -92,7 +92,7 @@ class TrackerSettings:
     hold_s: float = quantity(
         0.05,
         "s",
-        "Delay before scans are measured, so that a command that arrives after them still acts on them.",
+        "Delay before scans are measured, so that a command or calibration that arrives after them still acts on them.",
         at_least=0,
         at_most=1,
     )

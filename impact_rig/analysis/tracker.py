@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import attrs
@@ -33,7 +34,7 @@ from impact_rig import topics
 from impact_rig.analysis.calibration import STEPS, Calibration
 from impact_rig.analysis.cycles import Accumulator, Cycles, usable_harmonics
 from impact_rig.analysis.impacts import NO_IMPACTS, ImpactDetector, counted, impact_tables
-from impact_rig.analysis.scans import SCAN, ScanBuffer, need_columns
+from impact_rig.analysis.scans import CHANNELS, SCAN, ScanBuffer, need_columns
 from impact_rig.analysis.settings import GapLabel, ImpactSettings, TrackerSettings
 from impact_rig.analysis.settling import NOTICED_CYCLES, NOTICED_S, ImpactPause, Judge, Progress, window_cycles
 from impact_rig.analysis.transmissibility import Measurement, counts_impacts, measurement_table
@@ -50,7 +51,7 @@ class Counters:
     scans: int = 0
     lost_scans: int = 0
     duplicate_scans: int = 0
-    unconfigured_scans: int = 0  # received before the first `daq/info`, and dropped
+    unconfigured_scans: int = 0  # dropped: `daq/info` came more than `hold_s` later, or describes another record
     restarts: int = 0  # times at which the rig was reset, or its stamps went back
     late_events: int = 0  # changes that came after their scan had been measured, so that they act later
     measurements: int = 0  # rows with numbers
@@ -76,6 +77,7 @@ class Findings:
 
 
 ADD_S = 0.05  # longest delay before scans are added to their cycle: few steps without a long buffer
+MOST_EARLY = 1000  # largest number of blocks that wait for the first calibration
 MIN_HOLD_SCANS = 16  # shortest delay before cycles are closed; all impacts in them must be known as well
 
 
@@ -140,6 +142,7 @@ class Tracker:
         self._impact_settings = impact_settings or ImpactSettings()
         self._calibration: Calibration | None = None
         self._info: tuple[int, bytes] | None = None
+        self._early: list[Table] = []  # blocks that wait for the first calibration
         self._resets: list[_Reset] = []
         self._start_ns = 0
         self._rate = 0.0  # scans per second of the calibration
@@ -234,7 +237,7 @@ class Tracker:
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process the next block of scans; blocks arrive in order. Without a calibration, the block is dropped.
+        """Process the next block of scans; blocks arrive in order. Until the first calibration, they wait for `hold_s`.
 
         Args:
             scan: a table `daq/scan`.
@@ -246,16 +249,19 @@ class Tracker:
         Raises:
             ConfigError: the table lacks a column, or has text instead of numbers there.
         """
-        absent = () if self._calibration is None else self._calibration.absent
+        absent = CHANNELS if self._calibration is None else self._calibration.absent
         rows = scan.rows
         if self._taken != (rows.dtype, absent):
             need_columns(scan, SCAN, topics.SCAN.name, later=absent)
             self._taken = rows.dtype, absent
-        if self._calibration is None:
-            self.counters.unconfigured_scans += len(rows)
-            return NOTHING
         if not len(rows):
             return NOTHING
+        if self._calibration is None:
+            hold_ns = round(self._settings.hold_s * NS_PER_S)
+            self._early = [*self._take_early(scan.stamp_ns - hold_ns, scan.stamp_ns), scan]
+            return NOTHING
+        if self._early:
+            return self._feed_each([*self._take_early(self._start_ns), scan])
         while self._resets and self._resets[0].start_ns <= scan.stamp_ns:
             self._begin_again(self._resets.pop(0))
         rate = self._calibration.rate_hz
@@ -316,8 +322,9 @@ class Tracker:
                 status `not_settled`.
 
         Returns:
-            The last measurements, as from `feed`; all impacts have been returned by `feed`.
+            The last results, as from `feed`: measurements, and impacts only in blocks that still wait for `feed`.
         """
+        early = self._feed_each(self._take_early(self._start_ns if self.is_calibrated else math.inf))
         if self._started:
             self._advance(self._buffer.end)
             held = self._judge.finish() if self._accumulator is not None else None
@@ -325,8 +332,22 @@ class Tracker:
                 self._emit(held, self._judged)
             if take_unsettled and not self.counters.measurements and not self.counters.refusals:
                 self._take_unsettled()
-        measurements, self._rows = tuple(self._rows), []
-        return Findings(measurements)
+        measurements, self._rows = (*early.measurements, *self._rows), []
+        return Findings(measurements, early.impacts)
+
+    def _take_early(self, first_ns: float, end_ns: float = math.inf) -> list[Table]:
+        """Return the waiting blocks with stamps from `first_ns` to before `end_ns` [ns]; drop and count the others."""
+        early, self._early = self._early, []
+        kept = [one for one in early if first_ns <= one.stamp_ns < end_ns][-MOST_EARLY:]
+        self.counters.unconfigured_scans += sum(len(one.rows) for one in early) - sum(len(one.rows) for one in kept)
+        return kept
+
+    def _feed_each(self, scans: Iterable[Table]) -> Findings:
+        found = [self.feed(scan) for scan in scans]
+        return Findings(
+            tuple(table for one in found for table in one.measurements),
+            tuple(table for one in found for table in one.impacts),
+        )
 
     def _take_unsettled(self) -> None:
         """Add a row of all cycles of a record that ends before its first row, or the reason why it has none."""
@@ -352,15 +373,12 @@ class Tracker:
             return NOTHING
         cuts = np.flatnonzero(np.diff(numbers) != 1) + 1
         base = scan_index(scan.stamp_ns, rate, self._start_ns)
-        found = []
+        runs = []
         for part, number in zip(np.split(scan.rows, cuts), np.split(numbers, cuts), strict=True):
             whole = part.copy()
             whole["time"] = np.arange(len(part)) / rate
-            found.append(self.feed(Table(stamp_ns(base + int(number[0]), rate, self._start_ns), whole)))
-        return Findings(
-            tuple(table for one in found for table in one.measurements),
-            tuple(table for one in found for table in one.impacts),
-        )
+            runs.append(Table(stamp_ns(base + int(number[0]), rate, self._start_ns), whole))
+        return self._feed_each(runs)
 
     def _schedule(self, time_ns: int, event: _Event) -> None:
         """Queue an event until the scans reach its time; simultaneous events are ordered by their kind."""

@@ -25,9 +25,16 @@ from hypothesis import strategies as st
 from kits.records import add_impacts, applied, blocks, feed_all, info_rows, statuses
 from kits.tracker import QUICK, RATE, fingerprint, record, run_scenario, tracker
 
-from impact_rig.analysis.tracker import Tracker
+from impact_rig.analysis.tracker import MOST_EARLY, Tracker
 from impact_rig.blocks import Table
 from impact_rig.simtime import NS_PER_S
+
+
+def impacting_record():
+    """Return a record of 9 s with an impact near every extreme of the drive."""
+    rows = record(seconds=9.0)
+    add_impacts(rows["accelerometer"], RATE, (np.arange(160) + 0.3) / 18.2, np.full(160, 0.4), np.resize([1, -1], 160))
+    return rows
 
 
 @functools.cache
@@ -62,6 +69,59 @@ def test_a_command_that_arrives_late_changes_no_result(late_ns):
     assert made.counters.late_events == 0
 
 
+@pytest.mark.parametrize("late_blocks", [1, 6])
+def test_a_calibration_that_arrives_late_changes_no_result(late_blocks):
+    """Blocks of 10 ms wait for their calibration for 50 ms."""
+    found = []
+    for late in (0, late_blocks):
+        made, tables = Tracker(QUICK), [*blocks(impacting_record(), RATE, 20)]
+        made.on_applied(applied(9.1))
+        made.label(0.006, 0)
+        early = feed_all(made, tables[:late])
+        made.configure(Table(0, info_rows(RATE)))
+        measurements, impacts = feed_all(made, tables[late:])
+        assert early == ([], [])
+        found.append((*fingerprint(measurements, impacts), made.counters))
+    assert found[0] == found[1]
+    assert found[0][2].measurements
+    assert found[0][2].impacts > 100
+
+
+def test_blocks_that_waited_for_a_calibration_are_measured_at_the_end():
+    """The record ends before another block arrives."""
+    made, tables = Tracker(QUICK), [*blocks(impacting_record(), RATE, 100)]
+    made.feed(tables[0])
+    made.configure(Table(0, info_rows(RATE)))
+    assert sum(len(table.rows) for table in made.flush().impacts) == made.counters.impacts == 1
+    assert made.counters.scans == 100
+
+
+def test_blocks_of_an_earlier_record_are_not_measured_with_the_calibration():
+    """A new scan 0 means that the rig was reset: the blocks before it have another, unknown calibration."""
+    rows, start_ns = record(seconds=9.0), NS_PER_S
+    found = []
+    for early in (0, 3):
+        made = Tracker(QUICK)
+        feed_all(made, blocks(rows[: 20 * early], RATE, 20, start_ns=start_ns - early * NS_PER_S // 100))
+        made.feed(next(blocks(rows, RATE, 20, start_ns=start_ns)))
+        made.configure(Table(start_ns, info_rows(RATE)))
+        made.on_applied(applied(9.1, at_ns=start_ns))
+        found.append(fingerprint(*feed_all(made, blocks(rows[20:], RATE, 20, start_ns=start_ns, first=20))))
+        assert made.counters.unconfigured_scans == 20 * early
+        assert made.counters.restarts == made.counters.lost_scans == 0
+    assert found[0] == found[1]
+
+
+def test_blocks_that_wait_for_a_calibration_need_bounded_memory():
+    """A publisher may send any stamps: repeated, in the past, or a nanosecond apart."""
+    made, table = Tracker(QUICK), next(blocks(record(seconds=0.1), RATE, 1))
+    for stamp_ns in (*range(3000), *range(0, -50, -1), -100, -100):
+        made.feed(Table(stamp_ns, table.rows))
+        assert len(made._early) <= MOST_EARLY + 1
+    assert made.counters.unconfigured_scans == 3051
+    assert len(made._early) == 1
+
+
 def test_a_label_and_a_command_of_one_instant_may_arrive_in_either_order():
     """Live, the command arrives first; in a recorded run, the label is known first. The row is the same."""
     reasons = set()
@@ -78,9 +138,7 @@ def test_a_label_and_a_command_of_one_instant_may_arrive_in_either_order():
 @pytest.mark.parametrize("late_ns", [0, 40_000_000])
 def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
     """The detector uses the lag of the accelerometer that is calibrated for these scans, not the lag at the start."""
-    lag_s, changed_ns = 3e-3, round(2.003 * NS_PER_S)
-    rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
-    add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
+    lag_s, changed_ns, rows = 3e-3, round(2.003 * NS_PER_S), impacting_record()
     info = info_rows(RATE, since_start=changed_ns / NS_PER_S)
     info["lag"][0] += lag_s
 
@@ -112,8 +170,7 @@ def test_a_command_that_arrives_too_late_is_counted():
 @pytest.mark.parametrize("size", [1000, 5000])
 def test_the_first_command_discards_no_impact(size):
     """Scans wait, but their impacts are known at once: the first command must not discard these."""
-    rows, times = record(seconds=9.0), (np.arange(160) + 0.3) / 18.2
-    add_impacts(rows["accelerometer"], RATE, times, np.full(160, 0.4), np.resize([1, -1], 160))
+    rows = impacting_record()
     found = []
     for cut in (20, size):
         made = tracker(None, gap_m=0.006)

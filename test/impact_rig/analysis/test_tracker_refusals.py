@@ -69,11 +69,13 @@ def test_a_missing_command_is_reported_once_a_second():
     assert [table.stamp_ns for table in measurements] == [k * NS_PER_S - NS_PER_S // RATE for k in (1, 2, 3)]
 
 
-def test_scans_before_the_calibration_are_counted_not_measured():
+def test_scans_without_a_calibration_are_counted_not_measured():
+    """The blocks of the last 50 ms wait for a calibration until the record ends."""
     made = Tracker()
     feed_all(made, blocks(record(seconds=0.5), RATE, 20))
-    assert made.counters == Counters(unconfigured_scans=RATE // 2)
+    assert made.counters == Counters(unconfigured_scans=RATE // 2 - 6 * 20)
     assert made.flush().measurements == ()
+    assert made.counters == Counters(unconfigured_scans=RATE // 2)
 
 
 def test_an_invalid_calibration_is_rejected_and_the_previous_one_kept():
