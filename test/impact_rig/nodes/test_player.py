@@ -59,7 +59,7 @@ def test_a_run_is_replayed_repeatedly_at_the_pace_of_acknowledgements(
 
 
 def test_a_paused_player_sends_the_calibration_but_no_scan(client: Client, run: Path) -> None:
-    """What a user sets before the replay continues, such as a gap label, then acts from the first scan on."""
+    """Settings of a user before the replay continues, such as a gap label, then act from the first scan on."""
     with Run(run) as opened:
         playing, scans = follow(client, opened)
         calibration = client.collect("daq/info")
