@@ -119,14 +119,13 @@ class Tracker:
 
     Examples:
         >>> import impact_rig
-        >>> rig, tracker = impact_rig.Rig(impact_rig.RigConfig()), impact_rig.Tracker()
-        >>> tracker.configure(rig.info())
-        >>> tracker.on_applied(rig.accept(9.1, 0.52))
-        >>> rows = [
-        ...     table.rows[0]
-        ...     for block in rig.advance(20 * 10**9)
-        ...     for table in tracker.feed(block.scan).measurements
-        ... ]
+        >>> rig, tracker = impact_rig.LocalRig(), impact_rig.Tracker()
+        >>> first_scan = rig.command(frequency_hz=9.1, current_a=0.52)
+        >>> rig.run(seconds=20)
+        >>> tracker.configure(rig.tables("daq/info")[0])
+        >>> for table in rig.tables("shaker/applied"):
+        ...     tracker.on_applied(table)
+        >>> rows = [table.rows[0] for scan in rig.tables() for table in tracker.feed(scan).measurements]
         >>> dt, u = rows[-1][["transmissibility", "transmissibility_uncertainty"]]
         >>> print(f"DT {dt:.2f}, standard uncertainty {u:.2f}")
         DT 63.57, standard uncertainty 0.16

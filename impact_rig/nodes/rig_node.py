@@ -30,9 +30,6 @@ from impact_rig.nodes.standard_services import StandardServices
 from impact_rig.rig import Rig
 from impact_rig.rig.config import TREE, RigConfig
 
-WARM_UP_NS = 50_000_000
-"""Rig time [ns] that is simulated and discarded at `configure`, to load compiled code before the first block."""
-
 
 class RigNode(ManagedNode[RigConfig]):
     """Lifecycle node whose activation starts the simulated rig, and whose deactivation ends it.
@@ -69,7 +66,7 @@ class RigNode(ManagedNode[RigConfig]):
 
         If the lock file shows every other rig of the namespace, there is no need to wait.
         """
-        Rig(self.settings).advance(WARM_UP_NS)
+        Rig(self.settings)  # its trial simulation loads the compiled code
         self._session.configure()
         # wait here, so that a client that finds the node active may command it at once
         if not self._session.lock.decides:

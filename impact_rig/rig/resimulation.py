@@ -195,31 +195,31 @@ class Resimulation:
 
         The blocks until there are dropped.
         """
-        while self._coming and (
-            self._coming[0].kind is InputKind.FAULT  # planned before the scan that its entry names
-            or self._instant(self._coming[0]) <= until_ns
-        ):
+        while self._coming and self._instant(self._coming[0]) <= until_ns:
             next(self.blocks)
 
     def _run(self) -> Iterator[Block]:
         rig = self.rig
-        while self._coming:
-            change = self._coming[0]
-            if change.kind is not InputKind.FAULT:  # a fault was planned before the scan that its entry names
-                until_ns = self._instant(change)
-                while rig.frontier_ns < until_ns:  # in steps: a damaged row may be arbitrarily far away
-                    yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
+        while True:
+            change = self._coming[0] if self._coming else None
+            until_ns = rig.block_end_ns(1) if change is None else self._instant(change)
+            if change is None or rig.frontier_ns < until_ns:  # in steps: a damaged row may be arbitrarily far away
+                yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
+                continue
             apply(rig, self._coming.popleft())
             if change.kind is InputKind.PARAMETER:
                 self.configurations.append(rig.config)
                 info, before = rig.info(), self.calibrations[-1]
                 if (info.stamp_ns, info.rows.tobytes()) != (before.stamp_ns, before.rows.tobytes()):
                     self.calibrations.append(info)
-        while True:
-            yield from rig.advance(rig.block_end_ns(1))
 
     def _instant(self, change: JournalEntry) -> int:
-        """Return the rig time [ns] at which an input took effect: the start of the tick with the scan that it names."""
+        """Return the rig time [ns] at which an input took effect: the start of the tick with the scan that it names.
+
+        A fault was planned before that scan, so it may be planned at the start.
+        """
+        if change.kind is InputKind.FAULT:
+            return self.rig.start_ns
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
 
 
