@@ -345,15 +345,12 @@ class Judge:
         found = self._measure(self._settings.windows, bias)
         if found.status not in MEASURED:
             return found
-        return found if found.steady and not self._sparse(found) else None
+        sparse = found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE  # a longer record helps
+        return found if found.steady and not sparse else None
 
     def _struck(self) -> bool:
         """Return whether the newest `windows` windows, those of a short measurement, contain an impact."""
         return any(np.nansum(window.impacts) > 0 for window in list(self._windows)[-self._settings.windows :])
-
-    def _sparse(self, found: Measurement) -> bool:
-        """Return whether the impacts in a measurement are few and irregular, so that it needs a longer record."""
-        return found.regime is not Regime.PERIODIC and 0.0 < found.impacts_per_cycle < SPARSE
 
     def _stationary(self) -> Measurement | None:
         long = self._settings.long_windows

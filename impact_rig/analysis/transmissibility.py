@@ -150,7 +150,8 @@ def measure(
     broken = health.unsound(cycles, calibration, frequency_hz)
     if broken:
         return refuse(broken)
-    noise = _noise_variance(cycles, calibration)
+    # variance per sample of the residual of the fits, at least that of the quantisation
+    noise = np.asarray(np.maximum(cycles.residual_variance, calibration.resolution**2 / 12.0), dtype=np.float64)
     phasors, deviation_hz = _derotated(cycles, calibration, noise)
     true = [phasors[:, c] / calibration.response(c, frequency_hz * cycles.harmonics) for c in range(4)]
     x1, xb = true[LASER][:, 0], true[BASE][:, 0]
@@ -244,11 +245,6 @@ def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency
         return complex(NAN, NAN)
     lag = calibration.response(BASE, frequency_hz) / calibration.response(LASER, frequency_hz)
     return complex(cycles.phasors[:, LASER, 0].mean() / base * lag)
-
-
-def _noise_variance(cycles: Cycles, calibration: Calibration) -> Real:
-    """Return the variance per sample of the residual of the fits, at least that of the quantisation, shape (4,)."""
-    return np.asarray(np.maximum(cycles.residual_variance, calibration.resolution**2 / 12.0), dtype=np.float64)
 
 
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:

@@ -114,22 +114,17 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
         reading = amplitude * calibration.scale(channel, frequency_hz)
         curve = _curve(calibration, channel, reading)
         gain = math.sqrt(max(calibration.gain_uncertainty_at(channel, reading) ** 2 - curve**2, 0.0))
+        read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
         lag, _ = calibration.lag_uncertainties(channel, frequency_hz, lag_uncertainty)
         parts += [
             Contribution(CHANNELS[channel], "sensitivity", "B", gain),
             Contribution(CHANNELS[channel], "linearity at this amplitude", "B", curve),
             Contribution(CHANNELS[channel], "lag", "B", lag),
-            Contribution(CHANNELS[channel], "steps", "B", _steps_at(calibration, channel, amplitude, frequency_hz)),
+            Contribution(CHANNELS[channel], "steps", "B", calibration.steps_uncertainty(channel, read) / read),
         ]
     rest = (u / dt) ** 2 - sum(part.u_relative**2 for part in parts)
     parts.append(Contribution("measurement", "noise, scatter, remnant", "A", math.sqrt(max(rest, 0.0))))
     return Budget(dt, u, parts)
-
-
-def _steps_at(calibration: Calibration, channel: int, amplitude: float, frequency_hz: float) -> float:
-    """Return the relative standard uncertainty of an amplitude [m] due to the steps of sensor and converter."""
-    read = amplitude * abs(complex(calibration.response(channel, frequency_hz)))
-    return calibration.steps_uncertainty(channel, read) / read
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:

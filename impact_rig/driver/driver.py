@@ -342,9 +342,10 @@ class RigDriver(abc.ABC):
         while not condition():
             left = math.ceil((begin + limit_s - self.time_s) * self.rate_hz / self.block_scans - 1e-6)
             if left <= 0:
+                started = "; ".join(str(fault) for fault in self.faults if fault.start_sample < self.sample)
                 raise NotReachedError(
                     f"timeout after {limit_s:g} s of rig time: waiting for {what} ({self.name} is at "
-                    f"{self.time_s:g} s, {self._faults_so_far()})"
+                    f"{self.time_s:g} s, {f'faults: {started}' if started else 'no faults'})"
                 )
             self.step(min(blocks, left))
         return self.time_s
@@ -526,10 +527,6 @@ class RigDriver(abc.ABC):
         rows = np.zeros(len(values), WAVEFORM)
         rows["value"] = values
         return Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)
-
-    def _faults_so_far(self) -> str:
-        started = [str(fault) for fault in self.faults if fault.start_sample < self.sample]
-        return f"faults: {'; '.join(started)}" if started else "no faults"
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:

@@ -257,15 +257,10 @@ class Sensor:
         """Middle of the sensor's measuring range [unit]."""
         return 0.5 * (self.high + self.low)
 
-    def converter_range(self) -> tuple[float, float]:
-        """Return the range (low, high) in which the converter does not clip [unit of the sensor]."""
-        ends = [(volt - self.offset_v) / self.volt_per_unit for volt in (-self.adc_range_v, self.adc_range_v)]
-        return min(ends), max(ends)
-
     def measuring_range(self) -> tuple[float, float]:
         """Return the range (low, high) in which neither sensor nor converter clips [unit of the sensor]."""
-        low, high = self.converter_range()
-        return max(low, self.low), min(high, self.high)
+        ends = [(volt - self.offset_v) / self.volt_per_unit for volt in (-self.adc_range_v, self.adc_range_v)]
+        return max(min(ends), self.low), min(max(ends), self.high)
 
     def behind(self, adc: Adc) -> Sensor:
         """Return the sensor together with the anti-alias filter of the board `adc`; unchanged if the board has none.

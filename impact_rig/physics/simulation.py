@@ -415,7 +415,8 @@ class Simulation:
                     f"{_FAILURES[ended]} in tick {self.tick + ticks - 1}, {s['t']:.9f} s after the start of a drive "
                     f"segment, in phase {PHASES[s['phase']]}: the motion cannot be simulated"
                 )
-            work = self._work = _grown(work)
+            more = {"history": _longer(work.history, STATE), "impacts": _longer(work.impacts, IMPACT)}
+            work = self._work = work._replace(**more)
         kept = work.history[: states + 1]  # including the state from which the next motion begins
         if len(work.history) > _STATES:  # a grown history is handed over: copying it takes a tenth of the motion's time
             self._work = work._replace(history=room(_STATES, STATE))
@@ -497,11 +498,6 @@ class Simulation:
             y[X1] -= p.share * s.side * s.w * s.w
             y[V1] -= p.share * s.side * s.speed
         return y
-
-
-def _grown(work: Workspace) -> Workspace:
-    """Return a workspace with the same contents and more room for the history and the impacts."""
-    return work._replace(history=_longer(work.history, STATE), impacts=_longer(work.impacts, IMPACT))
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:

@@ -132,17 +132,13 @@ class Truth:
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
-    @property
-    def _kept_every(self) -> int:
-        return 1 if self.every_scan else self.monitor_step
-
     def take(self, motion: Motion, tick_s: float) -> None:
         """Keep the true states at the selected scans, and the contacts, of ticks with `tick_s` seconds of motion."""
         self._take_states(motion, tick_s)
         self._take_impacts(motion, tick_s)
 
     def _take_states(self, motion: Motion, tick_s: float) -> None:
-        step = self._kept_every
+        step = 1 if self.every_scan else self.monitor_step
         first, end = (-(-tick * self._rate_hz // TICKS_PER_S) for tick in (motion.first_tick, motion.last_tick + 1))
         first = -(-first // step) * step
         if first >= end:
