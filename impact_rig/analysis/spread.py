@@ -24,13 +24,12 @@ is a convention, as for any finite record.
 
 from __future__ import annotations
 
-from typing import Any  # sums of complex numbers and of counts
-
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.kernels import BYTES_2D, REALS_2D, Bytes, Reals, entry, kernel
 from impact_rig.states import Regime
 
 
@@ -101,15 +100,10 @@ def by_class_removed(values: Complex, period: int) -> Complex:
     For a series that repeats with this period, noise remains.
     """
     place: NDArray[np.int64] = np.arange(len(values)) % period
-    return np.asarray(values - (_class_sums(values, period) / np.bincount(place))[place], dtype=np.complex128)
-
-
-def _class_sums(values: NDArray[Any], period: int) -> NDArray[Any]:
-    """Return, for each position in a period of `period` values, the sum of the values there; shape (period, …)."""
     whole = len(values) - len(values) % period
-    sums: NDArray[Any] = values[:whole].reshape(-1, period, *values.shape[1:]).sum(axis=0)
+    sums = values[:whole].reshape(-1, period).sum(axis=0)
     sums[: len(values) - whole] += values[whole:]
-    return sums
+    return np.asarray(values - (sums / np.bincount(place))[place], dtype=np.complex128)
 
 
 LONGEST_PERIOD = 8
@@ -150,32 +144,63 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
         return Behaviour(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
     spread = float(np.sqrt(np.mean(np.abs(deviation - deviation.mean()) ** 2)))
     limit = max(NOISE_FACTOR * noise_variance, tolerance**2)
-    steady = False
-    for period in range(1, min(LONGEST_PERIOD, n // 4) + 1):
-        left = by_class_removed(deviation, period)
-        if float(np.sum(np.abs(left) ** 2)) / (n - period) > limit:
-            continue
-        steady = True
-        if _strikes_repeat(strikes, period):
-            return Behaviour(Regime.PERIODIC, float(period), spread, steady)
+    parts = np.ascontiguousarray(deviation, np.complex128).view(np.float64).reshape(n, 2)
+    period, steady = shortest_period(parts, np.ascontiguousarray(strikes), limit, min(LONGEST_PERIOD, n // 4))
+    if period > 0:
+        return Behaviour(Regime.PERIODIC, float(period), spread, steady)
     phases = 2.0 * np.pi * np.arange(strikes.shape[1]) / strikes.shape[1]
     telling = strikes @ np.exp(2j * phases) if steady else deviation
     regime = Regime.MODULATED if _line_share(telling) >= LINE_SHARE else Regime.CHAOTIC
     return Behaviour(regime, float("nan"), spread, steady)
 
 
-def _strikes_repeat(strikes: NDArray[np.uint8], period: int) -> bool:
+@entry(REALS_2D, BYTES_2D, float, int, returns=(int, bool))
+def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int) -> tuple[int, bool]:
+    """Return after how many cycles, up to `longest`, a response repeats, 0 if never, and whether its amplitude does.
+
+    `deviation` are the real and imaginary parts of ε_k, shape (n, 2), whose variance within the classes k mod p must be
+    at most `limit`. `strikes` are the phases of the impacts, shape (n, bins).
+    """
+    n, steady = deviation.shape[0], False
+    for period in range(1, longest + 1):
+        left = 0.0
+        for start in range(period):
+            count, real, imag = 0, 0.0, 0.0
+            for k in range(start, n, period):
+                count += 1
+                real += deviation[k, 0]
+                imag += deviation[k, 1]
+            real, imag = real / count, imag / count
+            for k in range(start, n, period):
+                left += (deviation[k, 0] - real) ** 2 + (deviation[k, 1] - imag) ** 2
+        if left / (n - period) <= limit:
+            steady = True
+            if _strikes_repeat(strikes, period):
+                return period, True
+    return 0, steady
+
+
+@kernel
+def _strikes_repeat(strikes: Bytes, period: int) -> bool:
     """Return whether the impacts repeat every `period` cycles: nearly all at phases where most such cycles have one.
 
     Phases agree if they differ by at most one bin. Weak impacts may be missed in some cycles, so a cycle without one
     proves nothing; an impact at another phase does.
     """
-    around = np.concatenate([strikes[:, -1:], strikes, strikes[:, :1]], axis=1)
-    near = around[:, :-2] | around[:, 1:-1] | around[:, 2:]
-    cycles = np.bincount(np.arange(len(strikes)) % period)
-    supported = _class_sums(near, period) / cycles[:, np.newaxis] >= SUPPORT
-    found = _class_sums(strikes, period)
-    return int(found[supported].sum()) >= REGULAR_SHARE * int(found.sum())
+    n, bins = strikes.shape
+    regular, impacts = 0, 0
+    for start in range(period):
+        cycles = (n - start + period - 1) // period
+        for place in range(bins):
+            before, after = (place - 1) % bins, (place + 1) % bins
+            found, near = 0, 0
+            for k in range(start, n, period):
+                found += int(strikes[k, place])
+                near += int(strikes[k, before] | strikes[k, place] | strikes[k, after])
+            impacts += found
+            if near >= SUPPORT * cycles:
+                regular += found
+    return regular >= REGULAR_SHARE * impacts
 
 
 def _line_share(deviation: Complex) -> float:

@@ -147,6 +147,7 @@ class Exported(NamedTuple):
 
 REALS, REALS_2D, REALS_3D = (Array(np.dtype("f8"), dimensions) for dimensions in (1, 2, 3))
 INTEGERS, WORDS, BYTES = (Array(np.dtype(kind)) for kind in ("i8", "u8", "u1"))
+BYTES_2D = Array(np.dtype("u1"), 2)
 
 Reals: TypeAlias = NDArray[np.float64]
 Complexes: TypeAlias = NDArray[np.complex128]
@@ -312,8 +313,13 @@ def records(count: int, kind: np.dtype[np.void]) -> Any:
     Plain Python needs a recarray for that. Compiled code accepts an ordinary array as well, which is passed in a third
     of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
     """
-    assert not any(hasattr(np.record, name) for name in kind.names or ())
+    assert _usable(kind)
     return for_kernels(np.zeros(count, kind))
+
+
+@functools.cache
+def _usable(kind: np.dtype[np.void]) -> bool:
+    return not any(hasattr(np.record, name) for name in kind.names or ())
 
 
 def room(count: int, kind: np.dtype[np.void]) -> Any:

@@ -25,7 +25,8 @@ G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numeric
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -55,9 +56,17 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
         windows: number of averaged windows; a further one before them lets the distance of the two states turn into
             the direction of fastest growth.
     """
+    return summary(list(islice(in_windows(f, z, returns), windows)))
+
+
+def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterator[float]:
+    """Yield the mean exponent per return of one window after the other, without end; arguments as for `largest`.
+
+    After a NaN, which means that the sphere is in contact at `_OUT_OF_SIGHT` returns in a row, there are no more.
+    """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
-    found = []
-    for _ in range(windows + 1):
+    settling = True
+    while True:
         total, done = 0.0, 0
         while done < returns:
             for steps in range(1, _OUT_OF_SIGHT + 1):
@@ -65,12 +74,23 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
                 if np.isfinite(here).all() and np.isfinite(there).all():
                     break
             else:
-                return Exponent(math.nan, math.nan, ())
+                yield math.nan
+                return
             distance = float(np.linalg.norm(there - here))
             total += math.log(max(distance, 1e-300) / APART)
             if distance > 0.0:
                 apart = (there - here) * (APART / distance)
             z, done = here, done + steps
-        found.append(total / done)
-    kept = np.array(found[1:])
-    return Exponent(float(kept.mean()), float(kept.std(ddof=1) / math.sqrt(len(kept))), tuple(kept.tolist()))
+        if not settling:
+            yield total / done
+        settling = False
+
+
+def summary(windows: list[float]) -> Exponent:
+    """Return the exponent of a motion from the mean exponents of two windows or more."""
+    n = len(windows)
+    if math.isnan(windows[-1]):
+        return Exponent(math.nan, math.nan, ())
+    mean = math.fsum(windows) / n
+    scatter = math.fsum((window - mean) ** 2 for window in windows) / (n - 1)
+    return Exponent(mean, math.sqrt(scatter / n), tuple(windows))

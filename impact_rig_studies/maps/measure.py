@@ -19,7 +19,7 @@ of its transient, estimated as a geometric series, is negligible, and still is s
 
 If a motion does not settle, `analysis.spread.classify` judges its regime by the amplitude of the superior base and the
 impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
-measured too (`exponent.largest`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
+measured too (see `exponent`), unless `classify` finds chaos and nothing repeats. If neighbouring motions separate,
 the motion is chaotic. If they approach one another, it may also repeat after more cycles than `classify` considers.
 
 Near an unstable periodic orbit neighbouring motions separate as well. A motion that is still leaving such an orbit is
@@ -48,22 +48,28 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
-from impact_rig_studies.maps.exponent import largest
+from impact_rig_studies.maps.exponent import in_windows, summary
 
 CHUNK = 24  # number of cycles examined together, for a response that repeats after up to six cycles
 _PART = CHUNK // 2  # number of cycles at the end of these from which such a response is measured
 _FIRST = 2 * CHUNK  # number of cycles before the first check: hardly any response has settled earlier
 LASTING = 0.98  # difference in the later half of a record over that in the earlier one, above which it does not decay
 TINY = 1e-12  # smallest scale of a coordinate
+_RTOL = 1e-7  # relative tolerance of the steps of a contact: only contacts slower than about 5 mm/s need any
 _ROUNDING = 1e-9  # relative change of a cycle that counts as none
 WEAK = 0.02
 """Approach speed, relative to the fastest impact, below which impacts are settling bounces.
 
 They are not counted and do not influence the regime.
 """
-WINDOWS, MORE_WINDOWS = 16, 64  # number of windows of an exponent, and of those if its sign is not certain then
-WINDOW_CYCLES = 12  # number of cycles in a window
-SURE = 2.0  # absolute exponent, in standard uncertainties, above which its sign counts as certain
+WINDOW_CYCLES = 12  # number of cycles in a window of an exponent
+MORE_WINDOWS = 64  # number of windows after which the sign of an exponent remains open
+_SURE = {6: 6.0, 9: 5.0, 12: 4.0, 16: 2.0, MORE_WINDOWS: 2.0}
+"""Absolute exponent, in standard uncertainties, above which its sign counts as certain, by number of windows.
+
+Few windows must be clearer, since their uncertainty is uncertain itself and the sign is judged more than once. About an
+exponent of zero, all looks before the one at 16 windows are wrong in less than 1 % of the cases.
+"""
 DEPARTURES = 10  # number of times that a motion is continued because it is leaving an unstable orbit
 _CLOSE = 0.05  # largest change per period, relative to the motion, of one that is still near the orbit it leaves
 _RISES = 4  # number of equal parts of a record from each to the next of which the changes of such a motion must grow
@@ -162,7 +168,7 @@ class MapRig:
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings
         self._config = config
-        self.simulation = Simulation(config)
+        self.simulation = Simulation(config, rtol=_RTOL)
         self._amplitude = 0.0
 
     def change(self, config: RigConfig) -> None:
@@ -306,12 +312,18 @@ class MapRig:
             state = self.simulation.state()
             return np.full(len(z), math.nan) if state is None else state[free] / scale
 
-        for windows in (WINDOWS, MORE_WINDOWS):
-            found = largest(returned, before[free] / scale, 1, windows)
-            self.simulation.set_state(before)
-            if abs(found.value) > SURE * found.uncertainty:
-                return 1 if found.value > 0.0 else -1
-        return 0
+        sign, windows = 0, list[float]()
+        for window in itertools.islice(in_windows(returned, before[free] / scale, 1), MORE_WINDOWS):
+            windows.append(window)
+            if math.isnan(window):
+                break
+            if (limit := _SURE.get(len(windows))) is not None:
+                found = summary(windows)
+                if abs(found.value) > limit * found.uncertainty:
+                    sign = 1 if found.value > 0.0 else -1
+                    break
+        self.simulation.set_state(before)
+        return sign
 
     def _drifts(self, record: _Record) -> bool:
         """Return whether a sphere that has not struck during a record will strike a wall within `NEAR_S` after it.

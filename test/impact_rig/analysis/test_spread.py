@@ -21,7 +21,16 @@ from scipy import signal
 
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.settling import is_stationary, transient_bias
-from impact_rig.analysis.spread import batch_variance, by_class_removed, classify, student_2u, variance_of_mean
+from impact_rig.analysis.spread import (
+    REGULAR_SHARE,
+    SUPPORT,
+    batch_variance,
+    by_class_removed,
+    classify,
+    shortest_period,
+    student_2u,
+    variance_of_mean,
+)
 from impact_rig.states import Regime
 
 QUIET = np.zeros((192, PHASE_BINS), np.uint8)
@@ -113,6 +122,32 @@ def test_an_orbit_that_closes_after_several_cycles_is_periodic(period):
     deviation = np.tile(pattern, 192 // period + 1)[:192] + cycles_noise(rng, 192, 1e-4)
     found = classify(deviation, 1e-8, 1e-3, QUIET)
     assert (found.regime, found.period) == (Regime.PERIODIC, period)
+
+
+def repeats(deviation, strikes, limit, period):
+    """Return whether amplitude and impacts repeat after some cycles, by the definition."""
+    classes = [slice(start, None, period) for start in range(period)]
+    scatter = sum(float(np.sum(np.abs(deviation[one] - deviation[one].mean()) ** 2)) for one in classes)
+    near = strikes | np.roll(strikes, 1, axis=1) | np.roll(strikes, -1, axis=1)
+    regular = sum(int(strikes[one].sum(axis=0)[near[one].mean(axis=0) >= SUPPORT].sum()) for one in classes)
+    return scatter / (len(deviation) - period) <= limit, regular >= REGULAR_SHARE * int(strikes.sum())
+
+
+@pytest.mark.parametrize("n", [24, 25, 400])
+def test_the_shortest_period_agrees_with_its_definition(n):
+    """The impacts of some cycles are missing or scattered, and the scatter is near its limit."""
+    rng, found, longest = np.random.default_rng(n), set(), 6
+    for _ in range(200):
+        period = int(rng.integers(1, 7))
+        deviation = np.resize(cycles_noise(rng, period, 1.0), n) + cycles_noise(rng, n, rng.choice([0.7, 1.3]))
+        strikes = np.resize(rng.random((period, PHASE_BINS)) < 0.1, (n, PHASE_BINS)) & (rng.random((n, 1)) < 0.95)
+        strikes = (strikes | (rng.random(strikes.shape) < rng.choice([0.0, 0.01, 0.02]))).astype(np.uint8)
+        each = [repeats(deviation, strikes, 1.0, p) for p in range(1, longest + 1)]
+        shortest = next((p for p, (amplitude, impacts) in enumerate(each, 1) if amplitude and impacts), 0)
+        parts = deviation.view(float).reshape(n, 2)
+        assert shortest_period(parts, strikes, 1.0, longest) == (shortest, any(amplitude for amplitude, _ in each))
+        found.add(shortest)
+    assert len(found) > 4
 
 
 def test_a_slow_modulation_is_distinguished_from_a_logistic_map():
