@@ -149,6 +149,7 @@ class RunWriter:
         make_room(self.directory)
         self._with_tail = tail
         self._tail: Tail | None = None
+        self._definitions: bytes | None = None  # those of the newest tail; None after a further topic
         self._file = self._open_file()
 
     @property
@@ -276,7 +277,8 @@ class RunWriter:
             if self._with_tail:
                 if self._tail is None:
                     known = [one.topic for one in self._channels.values()]
-                    self._tail = Tail(self._file.path, self._file.size, known, self._chunk_bytes)
+                    self._tail = Tail(self._file.path, self._file.size, known, self._chunk_bytes, self._definitions)
+                    self._definitions = self._tail.definitions
                 self._tail.add_message(*message)
             if self._file.add_message(*message):
                 self._commit()
@@ -373,7 +375,7 @@ class RunWriter:
 
     def _register(self, channel: _Channel) -> None:
         topic = channel.topic
-        channel.id = self._file.add_topic(topic)
+        channel.id, self._definitions = self._file.add_topic(topic), None
         repeated = {
             "id": str(channel.id),
             "name": topic.name,
@@ -846,20 +848,32 @@ class Tail(McapFile):
         follows: size of that file, without the open chunk [bytes].
         topics: its topics in the order of their registration, so that channel ids are equal in both files.
         chunk_bytes: chunk size of the recording.
+        definitions: `definitions` of an earlier tail with the same topics, or None; encoding them again takes a
+            twentieth of the time of a recorder.
 
     Raises:
         RecordingError: the file exists, or cannot be written.
     """
 
-    def __init__(self, recording: Path, follows: int, topics: Iterable[TopicDescription], chunk_bytes: int) -> None:
+    def __init__(
+        self,
+        recording: Path,
+        follows: int,
+        topics: Iterable[TopicDescription],
+        chunk_bytes: int,
+        definitions: bytes | None = None,
+    ) -> None:
         super().__init__(tail_of(recording), compression="none", chunk_bytes=chunk_bytes, chunked=False)
         self._log_times: list[int] = []
         self.add_metadata(TAIL_RECORD_NAME, protect({FOLLOWS: str(follows)}))
         self.close_chunk()
         self.commit()
-        for topic in topics:
-            self.add_topic(topic)
-        self._records = [self.take_back()]  # readers trust definitions only inside a chunk, which has a checksum
+        if definitions is None:
+            for topic in topics:
+                self.add_topic(topic)
+            definitions = self.take_back()
+        self.definitions = definitions  # records of the topics
+        self._records = [definitions]  # readers trust definitions only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
         """Keep a message until the next `secure`; return False, because no chunk is closed."""

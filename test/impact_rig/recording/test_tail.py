@@ -102,6 +102,21 @@ def test_a_new_topic_in_a_nearly_full_chunk_costs_no_message(record, tmp_path, c
     writer.finish()
 
 
+def test_a_tail_defines_a_topic_that_the_tail_before_lacked(record):
+    """Its definitions are those of the tail before, unless there is a further topic."""
+    writer = record(tail=True)
+    writer.add_topic(SCAN_TOPIC)
+    tails = []
+    for number in (1, 3):  # the second begins with a new topic
+        write(writer, number)
+        writer.secure()
+        (path,) = writer.directory.glob("*.tail")
+        tails.append(path.read_bytes())
+    writer.finish()
+    assert [NOTES_TOPIC.name.encode() in data for data in tails] == [False, True]
+    assert all(SCAN_TOPIC.name.encode() in data for data in tails)
+
+
 @pytest.mark.parametrize("left", [1, 9, 500, -1])
 def test_a_chunk_cut_after_an_attachment_is_recovered_from_the_tail(record, tmp_path, left):
     """The tail has all messages of the chunk, so an attachment before the damaged chunk must not cause a loss."""
