@@ -56,7 +56,7 @@ def add_command(commands: Commands) -> None:
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )
-    parser.set_defaults(until_told=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
+    parser.set_defaults(ends_by_signal=True, needs_ros=lambda arguments: not (arguments.runs or arguments.sample))
     parser.add_argument(
         "runs",
         nargs="*",

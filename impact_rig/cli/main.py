@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words and words[0].isalpha():  # it takes a while to find out whether it is a command
         ending.name = f"{PROGRAM} {words[0]}"
     chosen = _parse(words)
-    if getattr(chosen, "until_told", False):  # a signal is its normal end
+    if getattr(chosen, "ends_by_signal", False):  # a signal is its normal end
         ending.code = lambda _number: 0
     return ending.run(lambda: _run(chosen, ending))
 

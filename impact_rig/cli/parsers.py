@@ -382,7 +382,7 @@ def add_daqmx(commands: Commands) -> None:
         "See docs/how-to/daqmx.md: a script connects through the option grpc_options of its tasks. The command runs "
         "until Ctrl-C; its exit code is then 0.",
     )
-    parser.set_defaults(until_told=True, needs_ros=lambda arguments: bool(arguments.namespace))
+    parser.set_defaults(ends_by_signal=True, needs_ros=lambda arguments: bool(arguments.namespace))
     add_config(parser, "configuration of the rig to simulate, not with --namespace (default: the paper's rig)")
     parser.add_argument(
         "--namespace",

@@ -135,13 +135,13 @@ class Steps:
     """Progress of counted items as lines on stderr, if there is no terminal for a bar."""
 
     def __init__(self, what: str, total: int) -> None:
-        self._what, self._total, self._told = what, total, -1
+        self._what, self._total, self._shown = what, total, -1
 
     def show(self, done: int, state: str) -> None:
         """Print a line with the number of finished items and a state; of many calls, only about 50 print one."""
         every = max(1, self._total // LINES)
-        if done // every > self._told // every or done == self._total > self._told:
-            self._told = done
+        if done // every > self._shown // every or done == self._total > self._shown:
+            self._shown = done
             text = f"{self._what} {done} of {self._total}: {state}"
             print(visible(text), file=sys.stderr, flush=True)  # noqa: T201  # a command line tool talks
 

@@ -181,7 +181,8 @@ class RunWriter:
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
         if known is None:
-            channel = _Channel(topic, starts_with_header(topic.type_name, topic.schema), _carries_scans(topic))
+            is_scan = topic.type_name == topics.TABLE and prefix_of(topic.name, topics.SCAN) is not None
+            channel = _Channel(topic, starts_with_header(topic.type_name, topic.schema), is_scan)
             with _StoppingOnError(self):
                 self._file.close_chunk()  # the tail of the open chunk contains only the topics registered at its start
                 self._commit()
@@ -534,10 +535,6 @@ class LogClock:
     def end_block(self) -> None:
         """Advance the log time to the last scan of the block of the last `begin_block`, which has been written."""
         self.now_ns = self._end_ns
-
-
-def _carries_scans(topic: TopicDescription) -> bool:
-    return topic.type_name == topics.TABLE and prefix_of(topic.name, topics.SCAN) is not None
 
 
 def _clamp(time_ns: int) -> int:
