@@ -158,8 +158,8 @@ def test_the_command_prints_and_draws_the_comparison(
 ) -> None:
     model = tmp_path / "model.yaml"
     model.write_text(dump(from_flat(RigConfig(), {"sphere.present": False})))
-    words = ["compare", str(recorded["linear"]), "--config", str(model), "--figures", str(tmp_path / "drawn")]
-    assert main([*words, "--json"]) == 0
+    words = ["compare", str(recorded["linear"]), "--config", str(model)]
+    assert main([*words, "--json", "--figures", str(tmp_path / "drawn")]) == 0
     printed = json.loads(capsys.readouterr().out)
     (place,) = printed["places"]
     assert abs(place["transmissibility_off_u"]) < LARGEST_OFF

@@ -172,8 +172,8 @@ def test_lost_scans_are_counted_when_the_tables_around_them_are_no_longer_kept()
 @pytest.mark.heavy
 @pytest.mark.parametrize("what", ["nothing", "commands", "changes", "faults"])
 def test_the_memory_of_a_long_test_is_bounded(what: str) -> None:
-    """Compare the memory after 600 and 1,200 blocks, with changes in every block."""
-    rig = LocalRig({**LINEAR, "daq.rate_hz": 1000, "daq.block_scans": 10}, kept_bytes=250_000)
+    """Compare the memory after 200 and 400 blocks, with changes in every block."""
+    rig = LocalRig({**LINEAR, "daq.rate_hz": 1000, "daq.block_scans": 10}, kept_bytes=80_000)
 
     def run(blocks: int) -> int:
         for number in range(blocks):
@@ -189,7 +189,7 @@ def test_the_memory_of_a_long_test_is_bounded(what: str) -> None:
 
     tracemalloc.start()
     try:
-        before, after = run(600), run(600)
+        before, after = run(200), run(200)
     finally:
         tracemalloc.stop()
     assert before < 600_000

@@ -38,7 +38,8 @@ LEAVING = [name for name in HOSTILE_NAMES if "/" in name or not name.isprintable
 
 def test_a_recorder_rejects_a_name_that_is_not_a_plain_file_name(client: Client, tmp_path: Path) -> None:
     directory = tmp_path / "runs"
-    node = client.host(RecorderNode, parameter_overrides=ros_parameters({"directory": str(directory), "record": False}))
+    settings = {"directory": str(directory), "record": False, "configuration_wait_s": 0.0}  # there is no rig
+    node = client.host(RecorderNode, parameter_overrides=ros_parameters(settings))
     client.wait_active("recorder")
     for name in ["../x", "/abs", *LEAVING]:
         result = node.set_parameters([Parameter("name", value=name)])[0]

@@ -192,8 +192,8 @@ def test_a_run_in_real_time_is_complete_from_scan_0_and_is_reproduced(
 
 def test_a_recording_that_starts_during_a_run_is_valid(processes: Processes, client: Client, tmp_path: Path) -> None:
     """Scans reach the recorder some blocks before the calibration and the drive, which are latched."""
-    processes.start("rig", {**RIG, "time.peers": ("analysis",), "sphere.present": False})
-    processes.start("analysis", {"gap_m": 0.0})
+    processes.start("rig", {**RIG, "time.peers": ("analysis",), "sphere.present": False, "time.factor": 4.0})
+    processes.start("analysis", {"gap_m": 0.0, "hold_s": 4.0 * TrackerSettings().hold_s})  # as long on the clock
     processes.start("recorder", {"directory": str(tmp_path), "name": "run", "record": False})
     client.wait_active("rig", "analysis", "recorder")
     client.command(frequency_hz=9.1, current_a=0.52)

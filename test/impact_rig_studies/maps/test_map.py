@@ -273,7 +273,13 @@ def test_the_optimum_of_a_map_is_reported_with_its_neighbours():
     assert optimum.from_map([10.0, 49.5, 50.0, 49.2, 30.0], [1, 2, 3, 4, 5]) == (3.0, (2.0, 4.0))
 
 
-def test_table_and_figures_are_written(small):
+@pytest.fixture(scope="module")
+def drawn(small):
+    """The heat maps of the small map."""
+    return tuple(heat_maps(run.open_map(small[1])))
+
+
+def test_table_and_figures_are_written(small, drawn):
     _, directory = small
     rows = (directory / "map.csv").read_text().splitlines()
     assert rows[0].startswith("gap_m,frequency_hz,direction,start,regime,dt,reduction_percent")
@@ -281,15 +287,15 @@ def test_table_and_figures_are_written(small):
     assert {path.name for path in (directory / "figures").glob("*.svg")} == {
         "map_up.svg", "map_down.svg", "map_up_down.svg",
     }  # fmt: skip
-    up, _, _ = heat_maps(run.open_map(directory))
+    up, _, _ = drawn
     assert "two impacts per cycle" in up.svg
     assert "predicted" in up.svg
 
 
-def test_each_cell_of_a_map_has_the_colour_of_its_regime(small):
+def test_each_cell_of_a_map_has_the_colour_of_its_regime(small, drawn):
     """Outlines of neighbouring regimes would hide one another, and be invisible on cells of a similar colour."""
     done = run.open_map(small[1])
-    up, _, _ = heat_maps(done)
+    up, _, _ = drawn
     (cells,) = up._figure.axes[1].collections
     wanted = [to_rgba(REGIMES[group][1]) for group in classes(done.values[UP]).T.ravel().tolist()]
     assert cells.to_rgba(cells.get_array()).reshape(-1, 4).tolist() == [list(colour) for colour in wanted]
