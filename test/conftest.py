@@ -55,10 +55,10 @@ sys.path.append(str(Path(__file__).parents[1]))  # for `tools` and `qualificatio
 REQUIRE_ROS = os.environ.get("IMPACT_RIG_REQUIRE_ROS") == "1"
 DOMAINS = range(50, 100)  # 0 to 101 are safe on Linux; people and `make demo` use low numbers
 LONGEST_FILES = (
-    "test_controllers", "test_identification", "test_excitation", "test_journeys", "test_live_page", "test_fmu",
-    "test_import_runs", "test_live_comparison", "test_measurement", "test_dynamics", "test_extending", "test_figures",
-    "test_three_processes", "test_examples", "test_demo", "test_report", "test_fuzz", "test_verification",
-    "test_resources", "test_site", "test_environment", "test_coverage_of_uncertainties", "test_platforms", "test_ros",
+    "test_journeys", "test_live_page", "test_excitation", "test_identification", "test_site", "test_extending",
+    "test_measurement", "test_figures", "test_accessibility", "test_dask", "test_generated_recordings", "test_demo",
+    "test_dynamics", "test_platforms", "test_plugin", "test_report", "test_guide", "test_fuzz", "test_environment",
+    "test_drawings", "test_three_processes", "test_schedule", "test_controllers", "test_fmu",
 )  # fmt: skip
 """Longest files by `--durations=0`, the longest first. They begin in this order: a worker takes whole files, and one
 that begins a long file last makes the other wait for it. A shuffle mixes them among themselves, and the others behind

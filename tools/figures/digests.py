@@ -278,10 +278,16 @@ def thinned(name: str, at: Mapping[str, Sequence[float]]) -> Any:
 
 def miniature(name: str, at: Mapping[str, Sequence[float]]) -> tuple[str, list[str]]:
     """Compute the table of results and the texts of the drawing of a picture's thinned plan."""
+    return _studied(name, yaml.safe_dump(thinned(name, at), sort_keys=False))
+
+
+@functools.cache
+def _studied(name: str, text: str) -> tuple[str, list[str]]:
+    """Return table and texts of the study of a picture, with the plan in `text`."""
     command, _, figure = STUDIES[name]
     with tempfile.TemporaryDirectory() as folder:
         plan, out = Path(folder, "miniature.yaml"), Path(folder, "out")
-        plan.write_text(yaml.safe_dump(thinned(name, at), sort_keys=False), encoding="utf-8")
+        plan.write_text(text, encoding="utf-8")
         _run(*command, str(plan), "--output", str(out), "--workers", "1", "--format", "svg")
         table = (out / f"{command[-1]}.csv").read_text(encoding="utf-8")
         drawing = (out / "figures" / f"{figure}.svg").read_text(encoding="utf-8")
