@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import subprocess
 import sys
@@ -52,15 +53,21 @@ def closure(requirements: Iterable[str]) -> set[str]:
             continue
         found[name] = extras | found.get(name, set())
         try:
-            requires = distribution(name).requires or ()
+            requires = _requirements(name)
         except PackageNotFoundError:  # needed on another Python or platform only
             del found[name]
             continue
-        for text in requires:
-            other = Requirement(text)
-            if other.marker is None or any(other.marker.evaluate({"extra": extra}) for extra in found[name]):
-                waiting.append(other)
+        waiting += [
+            other
+            for other in requires
+            if other.marker is None or any(other.marker.evaluate({"extra": extra}) for extra in found[name])
+        ]
     return set(found)
+
+
+@functools.cache
+def _requirements(name: str) -> list[Requirement]:
+    return [Requirement(text) for text in distribution(name).requires or ()]
 
 
 def assemble(venv: Path, names: Iterable[str]) -> None:
