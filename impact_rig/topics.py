@@ -91,10 +91,8 @@ class Topic:
 TABLE = "sensor_msgs/msg/PointCloud2"  # type of every table
 
 
-def _table(
-    name: str, qos: Qos, publisher: str, fields: tuple[Column, ...], doc: str, frame_id: str = blocks.FRAME_DAQ
-) -> Topic:
-    return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), frame_id)
+def _table(name: str, qos: Qos, publisher: str, fields: tuple[Column, ...], doc: str) -> Topic:
+    return Topic(name, TABLE, qos, publisher, doc, fields, row_type(fields), blocks.FRAME_DAQ)
 
 
 def former_table(name: str, fields: tuple[Column, ...]) -> Topic:

@@ -102,7 +102,6 @@ class FunctionGenerator:
         drive: waveform and first command; a ramp leads to its amplitude.
         shaker: the section with the ramp time.
         random: source of the numbers of a random drive.
-        tick_s: duration of one tick [s].
 
     Attributes:
         frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
@@ -113,9 +112,9 @@ class FunctionGenerator:
         CommandError: the band of a random drive reaches too high for one value per tick.
     """
 
-    def __init__(self, drive: Drive, shaker: Shaker, random: Random, tick_s: float = COMMAND_GRID_S) -> None:
+    def __init__(self, drive: Drive, shaker: Shaker, random: Random) -> None:
         self._drive = drive
-        self._tick_s = tick_s
+        self._tick_s = tick_s = COMMAND_GRID_S
         self._ramp_ticks = self._ticks_of(shaker.ramp_s)
         self.tick = 0
         self._reached = 0.0  # amplitude at the end of the ticks generated so far

@@ -53,21 +53,17 @@ class Sent(NamedTuple):
     is_doubtful: bool = False
 
 
-def resimulate(
-    journal: Iterable[JournalEntry], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
-) -> Iterator[Block]:
+def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -> Iterator[Block]:
     """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
 
     Args:
         journal: the entries of rig/journal, in order; the last `start` or `reset` begins.
-        base: configuration of values that the journal's first entry does not contain, which are publishing options;
-            default: the default rig.
         waveform: messages of shaker/waveform, in order, if the drive is a stream.
 
     Raises:
         ConfigError: the journal is incomplete or does not fit this version; the message says why.
     """
-    yield from Resimulation(journal, base, waveform).blocks
+    yield from Resimulation(journal, waveform=waveform).blocks
 
 
 class RecordedSamples(Buffer):

@@ -239,7 +239,7 @@ class Sines:
     excerpt: Excerpt
 
 
-def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
+def sines_of(run: Run, excerpt: Excerpt) -> Sines:
     """Fit sines of one frequency, found near that of the drive, to all channels of an excerpt of a run.
 
     Raises:
@@ -249,7 +249,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
         raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for the scans {excerpt}")
     samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
     name = next(name for name in REFERENCES if name in samples)
-    reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz, harmonics)
+    reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz)
     if reference.status is not Status.OK:
         raise RecordingError(
             f"{run.path}: the channel {name} is not a sine of the drive frequency {excerpt.drive_hz:g} Hz in the scans "
@@ -258,7 +258,7 @@ def sines_of(run: Run, excerpt: Excerpt, harmonics: int = 1) -> Sines:
     return Sines(
         reference=reference,
         reference_name=name,
-        fits={name: fit_sine(y, excerpt.rate_hz, reference.frequency_hz, harmonics) for name, y in samples.items()},
+        fits={name: fit_sine(y, excerpt.rate_hz, reference.frequency_hz) for name, y in samples.items()},
         measured=measure_record(excerpt.rows, calibration_rows(run), excerpt.drive_hz)
         if {"laser", "base"} <= set(samples)
         else None,

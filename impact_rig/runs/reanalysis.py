@@ -47,23 +47,20 @@ from impact_rig.system.machine import fingerprint
 _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)
 
 
-def analyze(
-    run: Run,
-    settings: TrackerSettings | None = None,
-    instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table,
-) -> Iterator[Findings]:
+def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table) -> Iterator[Findings]:
     """Analyse a recorded run as the live node does, and yield the findings of each block of scans, then the last ones.
+
+    The settings are the last ones of the live analysis, or without one the defaults.
 
     Args:
         run: an open run.
-        settings: settings of the measurement; None means the last ones of the live analysis, without one the defaults.
         instead: function that replaces each table of `daq/info` or `daq/scan` before it is analysed.
 
     Raises:
         RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another type.
     """
-    live, labels = as_set_live(run)
-    tracker = Tracker(settings or live)
+    settings, labels = as_set_live(run)
+    tracker = Tracker(settings)
     for label in labels:
         tracker.label(label.gap_m, label.stamp_ns)
     found = {run.resolve(topic.name): topic for topic in _NEEDED}

@@ -129,7 +129,7 @@ def _white_rms(calibration: Calibration, channel: int) -> float:
 FADE = 0.8  # frequency, as a fraction of the upper band edge, from which a band fades out
 
 
-def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, around: int = 0) -> Real:
+def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) -> Real:
     """Return the motion that a sensor measured: its reading, corrected for lag, skew, high-pass and derivative.
 
     The result is limited to frequencies up to an edge, because the correction amplifies noise. It is the displacement
@@ -137,22 +137,20 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float, 
     the channel "accelerometer".
 
     Args:
-        values: contiguous readings of a channel, shape (n,).
+        values: contiguous readings of a channel, which begin and end at rest, shape (n,).
         calibration: calibration of the sensors.
         channel: index of the channel in `scans.CHANNELS`.
         top_hz: upper edge of the band; from half of the scan rate on, nothing is removed.
-        around: number of samples mirrored at both ends; needed if the record does not begin and end at rest.
     """
-    mirrored = np.pad(values, around, mode="reflect", reflect_type="odd") if around else values
-    frequency: Real = np.asarray(np.fft.rfftfreq(len(mirrored), 1.0 / calibration.rate_hz), np.float64)
+    frequency: Real = np.asarray(np.fft.rfftfreq(len(values), 1.0 / calibration.rate_hz), np.float64)
     edge = np.ones(len(frequency))
     if top_hz < 0.5 * calibration.rate_hz:
         edge = np.sin(0.5 * np.pi * np.clip((top_hz - frequency) / ((1.0 - FADE) * top_hz), 0.0, 1.0)) ** 2
     response = calibration.response(channel, frequency)
     seen = (edge > 0.0) & (response != 0.0)  # a sensor with a high-pass does not measure the mean
-    spectrum = np.where(seen, np.fft.rfft(mirrored) * edge, 0.0)
+    spectrum = np.where(seen, np.fft.rfft(values) * edge, 0.0)
     spectrum[seen] /= response[seen]
-    found: Real = np.fft.irfft(spectrum, len(mirrored))[around : around + len(values)]
+    found: Real = np.fft.irfft(spectrum, len(values))
     return found
 
 

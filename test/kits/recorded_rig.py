@@ -188,9 +188,9 @@ def note(text: str, stamp_ns: int) -> tuple[str, Remark]:
     return "notes", Remark(text, stamp_ns)
 
 
-def agreement(path: Path, rig: str | None = None) -> reanalysis.Agreement:
+def agreement(path: Path) -> reanalysis.Agreement:
     """Analyse a run again, and compare the results with those that were published live."""
-    with open_run(path, rig) as run:
+    with open_run(path) as run:
         findings = list(reanalysis.analyze(run))
         impacts = [table for one in findings for table in one.impacts]
         return reanalysis.compare(run, reanalysis.measurements(iter(findings)), impacts)
