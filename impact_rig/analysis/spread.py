@@ -172,7 +172,8 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
                 imag += deviation[k, 1]
             real, imag = real / count, imag / count
             for k in range(start, n, period):
-                left += (deviation[k, 0] - real) ** 2 + (deviation[k, 1] - imag) ** 2
+                off_real, off_imag = deviation[k, 0] - real, deviation[k, 1] - imag
+                left += off_real * off_real + off_imag * off_imag
         if left / (n - period) <= limit:
             steady = True
             if _strikes_repeat(strikes, period):
