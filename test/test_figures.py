@@ -95,8 +95,7 @@ def test_the_reduced_plan_of_a_picture_contains_all_its_regimes(name):
     assert differences(whole, few) <= {*at, "values", "optimum", "cycles", "points"}
     if at:
         table, _ = digests.miniature(name, at)
-        # rare, and they depend on the values before
-        marched = {"intermittent", "periodic, no impacts"} if "bifurcation" in name else set()
+        marched = {"intermittent"} if "bifurcation" in name else set()  # rare, and it depends on the values before
         assert {*digests.regimes(table)} | marched == {*known["regimes"]} | marched
 
 

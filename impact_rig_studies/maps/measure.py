@@ -55,7 +55,6 @@ _PART = CHUNK // 2  # number of cycles at the end of these from which such a res
 _FIRST = 2 * CHUNK  # number of cycles before the first check: hardly any response has settled earlier
 LASTING = 0.98  # difference in the later half of a record over that in the earlier one, above which it does not decay
 TINY = 1e-12  # smallest scale of a coordinate
-_RTOL = 1e-7  # relative tolerance of the steps of a contact: only contacts slower than about 5 mm/s need any
 _ROUNDING = 1e-9  # relative change of a cycle that counts as none
 WEAK = 0.02
 """Approach speed, relative to the fastest impact, below which impacts are settling bounces.
@@ -168,7 +167,7 @@ class MapRig:
     def __init__(self, config: RigConfig, settings: Settings) -> None:
         self._settings = settings
         self._config = config
-        self.simulation = Simulation(config, rtol=_RTOL)
+        self.simulation = Simulation(config)
         self._amplitude = 0.0
 
     def change(self, config: RigConfig) -> None:
