@@ -313,12 +313,12 @@ def records(count: int, kind: np.dtype[np.void]) -> Any:
     Plain Python needs a recarray for that. Compiled code accepts an ordinary array as well, which is passed in a third
     of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
     """
-    assert _usable(kind)
+    assert _has_free_names(kind)
     return for_kernels(np.zeros(count, kind))
 
 
 @functools.cache
-def _usable(kind: np.dtype[np.void]) -> bool:
+def _has_free_names(kind: np.dtype[np.void]) -> bool:
     return not any(hasattr(np.record, name) for name in kind.names or ())
 
 

@@ -58,7 +58,7 @@ class ImportedRun:
     index: NDArray[np.int64]  # number of each scan in `rows`, with gaps where scans are missing; shape (n,)
     rows: NDArray[np.void]  # scans, `time` unused, shape (n,)
     info: NDArray[np.void]  # rows of `daq/info`
-    drive: tuple[tuple[int, float, float], ...]  # commands: instant [ns], frequency [Hz], amplitude
+    drive: tuple[tuple[int, float, float], ...]  # commands: instant [ns], frequency [Hz], amplitude [`amplitude_unit`]
     labels: tuple[str, ...]  # remarks for the topic `notes`, among them the labels of the gap
     estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text

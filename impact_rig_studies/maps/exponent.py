@@ -24,9 +24,9 @@ G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numeric
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,11 @@ from impact_rig.analysis.calibration import Real
 
 APART = 1e-7  # distance of the two states at the beginning of a return, in dimensionless coordinates
 _OUT_OF_SIGHT = 64  # number of consecutive returns with a contact after which the exponent is given up as NaN
+CERTAIN = {6: 6.0, 9: 5.0, 12: 4.0, 16: 2.0, 64: 2.0}
+"""Absolute exponent, in standard uncertainties, above which `sign` is certain, by number of windows.
+
+With few windows the limit is higher, because their uncertainty is uncertain itself and the sign is judged repeatedly.
+"""
 
 
 class Exponent(NamedTuple):
@@ -56,17 +61,16 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
         windows: number of averaged windows; a further one before them lets the distance of the two states turn into
             the direction of fastest growth.
     """
-    return summary(list(islice(in_windows(f, z, returns), windows)))
+    return summary(list(itertools.islice(in_windows(f, z, returns), windows)))
 
 
 def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterator[float]:
-    """Yield the mean exponent per return of one window after the other, without end; arguments as for `largest`.
+    """Yield the mean exponent per return in each window; arguments as for `largest`.
 
-    After a NaN, which means that the sphere is in contact at `_OUT_OF_SIGHT` returns in a row, there are no more.
+    There is no last window, unless the sphere is in contact at `_OUT_OF_SIGHT` returns in a row: then the last is NaN.
     """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
-    settling = True
-    while True:
+    for number in itertools.count():
         total, done = 0.0, 0
         while done < returns:
             for steps in range(1, _OUT_OF_SIGHT + 1):
@@ -81,9 +85,8 @@ def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterato
             if distance > 0.0:
                 apart = (there - here) * (APART / distance)
             z, done = here, done + steps
-        if not settling:
+        if number > 0:
             yield total / done
-        settling = False
 
 
 def summary(windows: list[float]) -> Exponent:
@@ -94,3 +97,18 @@ def summary(windows: list[float]) -> Exponent:
     mean = math.fsum(windows) / n
     scatter = math.fsum((window - mean) ** 2 for window in windows) / (n - 1)
     return Exponent(mean, math.sqrt(scatter / n), tuple(windows))
+
+
+def sign(windows: Iterable[float]) -> int:
+    """Return the sign of the exponent as soon as it is certain: 1 or -1, or 0 if it is not certain (`CERTAIN`).
+
+    `windows` are those of `in_windows`; no more are taken than needed.
+    """
+    taken: list[float] = []
+    for window in itertools.islice(windows, max(CERTAIN)):
+        taken.append(window)
+        if len(taken) in CERTAIN:
+            found = summary(taken)
+            if abs(found.value) > CERTAIN[len(taken)] * found.uncertainty:
+                return 1 if found.value > 0.0 else -1
+    return 0

@@ -48,7 +48,7 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear_response import transmissibility
 from impact_rig.rig.config import RigConfig
 from impact_rig.states import Regime
-from impact_rig_studies.maps.exponent import in_windows, summary
+from impact_rig_studies.maps import exponent
 
 CHUNK = 24  # number of cycles examined together, for a response that repeats after up to six cycles
 _PART = CHUNK // 2  # number of cycles at the end of these from which such a response is measured
@@ -62,13 +62,6 @@ WEAK = 0.02
 They are not counted and do not influence the regime.
 """
 WINDOW_CYCLES = 12  # number of cycles in a window of an exponent
-MORE_WINDOWS = 64  # number of windows after which the sign of an exponent remains open
-_SURE = {6: 6.0, 9: 5.0, 12: 4.0, 16: 2.0, MORE_WINDOWS: 2.0}
-"""Absolute exponent, in standard uncertainties, above which its sign counts as certain, by number of windows.
-
-Few windows must be clearer, since their uncertainty is uncertain itself and the sign is judged more than once. About an
-exponent of zero, all looks before the one at 16 windows are wrong in less than 1 % of the cases.
-"""
 DEPARTURES = 10  # number of times that a motion is continued because it is leaving an unstable orbit
 _CLOSE = 0.05  # largest change per period, relative to the motion, of one that is still near the orbit it leaves
 _RISES = 4  # number of equal parts of a record from each to the next of which the changes of such a motion must grow
@@ -311,18 +304,9 @@ class MapRig:
             state = self.simulation.state()
             return np.full(len(z), math.nan) if state is None else state[free] / scale
 
-        sign, windows = 0, list[float]()
-        for window in itertools.islice(in_windows(returned, before[free] / scale, 1), MORE_WINDOWS):
-            windows.append(window)
-            if math.isnan(window):
-                break
-            if (limit := _SURE.get(len(windows))) is not None:
-                found = summary(windows)
-                if abs(found.value) > limit * found.uncertainty:
-                    sign = 1 if found.value > 0.0 else -1
-                    break
+        found = exponent.sign(exponent.in_windows(returned, before[free] / scale, 1))
         self.simulation.set_state(before)
-        return sign
+        return found
 
     def _drifts(self, record: _Record) -> bool:
         """Return whether a sphere that has not struck during a record will strike a wall within `NEAR_S` after it.

@@ -101,8 +101,12 @@ def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
     )
     for name, (low, high), what in ranges:
         measured = {
-            g: [p for f, p in sorted(curves.by_gap[g].items()) if low <= f <= high and p.current_a == paper.CURRENT_A]
-            for g in cases
+            gap: [
+                point
+                for frequency, point in sorted(curves.by_gap[gap].items())
+                if low <= frequency <= high and point.current_a == paper.CURRENT_A
+            ]
+            for gap in cases
         }
         theory = {gap: predicted(config, gap, np.linspace(low, high, FINE), paper.CURRENT_A) for gap in cases}
         lines = [curve_numbers(gap, points) for gap, points in measured.items()]
@@ -527,7 +531,7 @@ def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
 
 
 def draw_phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the relative velocity of the sphere over its relative position; arguments as in `draw_time_trace`."""
+    """Draw velocity over position of the sphere, relative to the superior base; arguments as in `draw_time_trace`."""
     place = 1e3 * (np.asarray(trace["x_2"], float) - np.asarray(trace["x_1"], float))
     speed = np.asarray(trace["v_2"], float) - np.asarray(trace["v_1"], float)
     figure, (axis,) = new_axes()

@@ -61,7 +61,7 @@ def recording(client: Client) -> bool:
 
 
 def host_both(client: Client, directory: Path, **values: object) -> tuple[RecorderNode, RigNode]:
-    """Host a recorder and a rig that waits for it, until the recording has begun."""
+    """Host a recorder and a rig that waits for it, until it records."""
     recorder, rig = host_recorder(client, directory), host_rig(client, time__peers=["recorder"], **values)
     client.wait_active("rig", "recorder")
     client.wait_until(lambda: recording(client), "the recorder")
