@@ -128,8 +128,8 @@ def foreign(rng, e):
 
 @pytest.mark.parametrize(
     ("seeds", "gaps"),
-    [([1], (0.004, 0.010)), pytest.param(range(40), (0.004, 0.007), marks=pytest.mark.slow)],
-    ids=["one", "many"],
+    [(range(2), (0.004, 0.010)), pytest.param(range(40), (0.004, 0.007), marks=pytest.mark.slow)],
+    ids=["two", "many"],
 )
 def test_constants_are_found_within_their_uncertainty_despite_errors_of_e_and_sensors(seeds, gaps):
     """e is wrong by its standard uncertainty of 0.02, in either direction; draws may differ only by chance."""
@@ -142,7 +142,7 @@ def test_constants_are_found_within_their_uncertainty_despite_errors_of_e_and_se
         scaled = (found.log_constants - logarithms(truth)) / found.information.u_relative
         off.append([*scaled, (found.restitution - truth.contact.restitution) / found.u_restitution])
     assert np.abs(off).max() < LIMIT
-    if len(seeds) > 1:
+    if len(seeds) > 2:
         spread = np.sqrt(np.mean(np.square(off), axis=0))
         assert np.all((spread > 0.67) & (spread < 1.33)), spread  # ± 11 % each, three times that
 
@@ -203,7 +203,7 @@ def test_a_wrong_known_value_raises_an_alarm():
     livelier = identify(exact, wrong_law)
     assert 0.002 in livelier.contradicted
     assert not livelier.consistent
-    measured = synthetic(np.random.default_rng(0), TRUTH, (0.003, 0.010))
+    measured = synthetic(np.random.default_rng(0), TRUTH, (0.002, 0.010))
     assert not identify(measured, wrong_law).consistent, "no e makes up for it"
 
 
