@@ -114,7 +114,7 @@ class FunctionGenerator:
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random) -> None:
         self._drive = drive
-        self._tick_s = tick_s = COMMAND_GRID_S
+        self._tick_s = COMMAND_GRID_S
         self._ramp_ticks = self._ticks_of(shaker.ramp_s)
         self.tick = 0
         self._reached = 0.0  # amplitude at the end of the ticks generated so far
@@ -127,12 +127,12 @@ class FunctionGenerator:
             self._ramp = Ramp(0, 0.0, 0.0, 0)
         self._noise: BandNoise | None = None
         if drive.waveform == "random":
-            if drive.random_high_hz >= 0.45 / tick_s:
+            if drive.random_high_hz >= 0.45 / self._tick_s:
                 raise CommandError(
-                    f"drive.random_high_hz must be < {0.45 / tick_s:g} Hz, because the noise has one value per "
-                    f"{tick_s:g} s, got {drive.random_high_hz:g} Hz"
+                    f"drive.random_high_hz must be < {0.45 / self._tick_s:g} Hz, because the noise has one value per "
+                    f"{self._tick_s:g} s, got {drive.random_high_hz:g} Hz"
                 )
-            self._noise = BandNoise(band_pass(drive.random_low_hz, drive.random_high_hz, tick_s), random)
+            self._noise = BandNoise(band_pass(drive.random_low_hz, drive.random_high_hz, self._tick_s), random)
 
     @property
     def phase_rad(self) -> float:

@@ -291,10 +291,10 @@ def test_the_stop_button_stays_above_the_help_sheet(lab: Lab, page: Page) -> Non
 
 def test_all_of_the_result_can_be_reached_in_a_low_window(page: Page) -> None:
     page.size(1366, 500)
-    page.wait("dt.scrollHeight > dt.clientHeight + 20", "a result higher than its place", 10.0)
+    page.wait("dt.scrollHeight > dt.clientHeight + 20", "a result higher than its place")
     x, y = page.js("(({x, y, width, height}) => [x + width / 2, y + height / 8])(dt.getBoundingClientRect())")
     page.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=2000)
-    page.wait("dt.scrollTop + dt.clientHeight > dt.scrollHeight - 2", "its end", 10.0)
+    page.wait("dt.scrollTop + dt.clientHeight > dt.scrollHeight - 2", "its end")
 
 
 def no_accelerometer() -> tuple[str, Any]:
@@ -438,7 +438,7 @@ def test_faults_and_remarks_reach_the_rig(lab: Lab, page: Page) -> None:
     page.wait(said, "the reason")
     page.click("#fault-clear")
     answered(page, "cleared")
-    page.wait("document.getElementById('faults').textContent === 'none'", "its end", 10.0)
+    page.wait("document.getElementById('faults').textContent === 'none'", "its end")
     page.key("0")
     hostile = "<img src=x onerror=alert(1)><b>bold"
     notes = lab.client.collect("notes")
@@ -466,7 +466,7 @@ def test_a_recording_can_be_started_and_ended(lab: Lab, page: Page) -> None:
     page.wait("document.getElementById('recording').textContent.includes('run_')", "the name of the next run")
     page.wait("document.getElementById('notice').hidden", "the end of the warning")
     page.click("#record")
-    page.wait("document.getElementById('recording').textContent === 'off'", "its end", 10.0)
+    page.wait("document.getElementById('recording').textContent === 'off'", "its end")
 
 
 def test_scope_spectrum_slow_motion_and_themes_work(page: Page) -> None:
