@@ -13,8 +13,9 @@
 # limitations under the License.
 """Least-squares fit of the rig's constants to measurements: `identify` returns their values with uncertainties.
 
-Without the sphere the model is a closed form; with it, the mechanics are simulated. The data and their models are
-(T = X_1 / X_b, DT = |T|):
+Without the sphere the model is a closed form; with it, the mechanics are simulated. X_1 and X_b are the complex
+displacement amplitudes of the superior and the inferior base, I is that of the current, T = X_1 / X_b and DT = |T|.
+The data and their models are:
 
     ln f_n, ln ζ                  measured by the free decay
     ln DT, phase of T             closed form T(f; f_n, ζ)
@@ -112,7 +113,7 @@ UNTOUCHED = 1e-3
 
 @attrs.frozen(eq=False)
 class Combination:
-    """Product of powers of parameters, which the data determine or fail to determine as one."""
+    """Product of powers of parameters, such as K_f / m_1, with the uncertainty to which the data determine it."""
 
     powers: Real  # power of each parameter, shape (n,); the largest is 1
     u_relative: float  # relative standard uncertainty of the product; infinite if the data contain nothing on it
@@ -126,15 +127,16 @@ class Combination:
 
 @attrs.frozen(eq=False)
 class Information:
-    """Information of data on parameters: how well they determine each of them, and combinations of them."""
+    """Accuracy to which data determine parameters: each of them alone, and combinations of them."""
 
     names: tuple[str, ...]  # names of the parameters
     combinations: tuple[Combination, ...]  # uncorrelated combinations, as many as parameters, the best determined first
-    # relative standard uncertainty of each parameter; infinite if it takes part in an undetermined combination
+    # relative standard uncertainty of each parameter with all others unknown as well; infinite if it is part of a
+    # combination on which the data contain nothing
     u_relative: Real
 
     def determined(self, name: str) -> bool:
-        """Return whether a parameter has a relative standard uncertainty of at most `DETERMINED`, all others free."""
+        """Return whether the relative standard uncertainty of a parameter is at most `DETERMINED`."""
         return bool(self.u_relative[self.names.index(name)] <= DETERMINED)
 
 
@@ -145,7 +147,8 @@ def information(names: Sequence[str], jacobian: Real, nuisances: Real | None = N
         names: names of the n parameters.
         jacobian: derivatives d residual / d ln parameter, shape (m, n); residuals are in units of their standard
             uncertainties.
-        nuisances: the same for nuisance parameters, shape (m, k), or None. Rows for their prior knowledge are included.
+        nuisances: derivatives of the same residuals by k nuisance parameters, shape (m, k), or None. What is known of
+            these beforehand must be among the m residuals.
     """
     matrix = np.asarray(jacobian, float)
     if nuisances is not None and nuisances.shape[1]:
@@ -199,7 +202,7 @@ LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Explanation of the data by one of several clearly different sets of constants that fit them."""
+    """Set of constants that explains the data, out of several clearly different ones, with its probability."""
 
     share: float  # probability of this explanation, between 0 and 1
     log_constants: Real  # logarithms of the constants in the order of `NAMES`
@@ -221,22 +224,23 @@ class Identified:
     restitution: float = math.nan  # fitted nominal e; NaN without reductions, as is u_restitution
     u_restitution: float = math.nan
     irregular: Mapping[float, float] = attrs.field(factory=dict)
-    """Gaps [m] at which the fitted motion is irregular, with the standard uncertainty of its ln(DT with / DT without).
+    """Standard uncertainty of the simulated ln(DT with the sphere / DT without), by gap [m] with an irregular motion.
 
-    The uncertainty is that of a mean over many cycles, and includes jumps under small changes of the constants.
+    Irregular means that the simulated motion of the best fit is not periodic. DT is then a mean over many cycles. Its
+    uncertainty includes the jumps of this mean under small changes of the constants.
     """
     contradicted: tuple[float, ...] = ()
-    """Those of these gaps at which a periodic motion was measured though the fitted motion would not look periodic."""
+    """Gaps [m] of `irregular` at which the measured motion is periodic, but the simulated one would not look so."""
     alternatives: tuple[Alternative, ...] = ()
-    """Explanations of the data by different constants, the most probable first; empty if there is only one.
+    """Clearly different sets of constants that fit the data, the most probable first; empty if there is only one.
 
-    Values and uncertainties of this result are means over all of them, and include the differences between them.
+    The values in the other fields are then means over all of them, and the uncertainties include their differences.
     """
     converged: bool = True  # whether the last step was small; otherwise the uncertainties do not belong to a minimum
 
     @property
     def chance(self) -> float:
-        """Probability that random errors alone make the fit as bad or worse (p-value of χ²); 1 if freedom is 0."""
+        """Probability that random errors alone make χ² as large or larger (its p-value); 1 if `freedom` is 0."""
         return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
@@ -261,22 +265,25 @@ class Identified:
 def identify(
     measured: Measured, known: RigConfig, start: Real = START, on_step: Callable[[str], None] = lambda _: None
 ) -> Identified:
-    """Fit the constants of the rig (`NAMES`), and with reductions also e, to measurements by least squares.
+    """Fit the constants of the rig (`NAMES`) to measurements by least squares.
+
+    If `measured` contains reductions of DT by the sphere, the nominal coefficient of restitution e is fitted as well.
 
     Args:
         measured: the measurements.
-        known: configuration with the known sphere, contact law, nominal e and barriers; its constants are ignored.
+        known: configuration with the known sphere, contact law, nominal e and barriers. Its values of the constants in
+            `NAMES` are ignored, except for the ratio of armature mass to mass of the inferior base.
         start: logarithms of the constants at the start of the fit, in the order of `NAMES`.
         on_step: receives a description of each step for the user.
 
     Raises:
-        ConfigError: nothing was measured, or a constant leaves its range during the fit.
-        SimulationError: no motion with the sphere can be simulated.
+        ConfigError: `measured` contains no data, or a constant leaves its range during the fit.
+        SimulationError: the motion with the sphere cannot be simulated at all measured gaps, from any start of the fit.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError(
-            "nothing to identify from: no free decay, no stepped sine without the sphere, no reductions with it; at "
-            "least one is needed"
+            "nothing to identify from: free decay, stepped sine without the sphere and reductions of DT with "
+            "it are all missing, or left out by --without; at least one is needed"
         )
     theta, nuisance = _with_estimates(measured, start), np.zeros(len(NUISANCES))
     converged = False
@@ -297,9 +304,10 @@ def identify(
 
 
 def _with_estimates(measured: Measured, start: Real) -> Real:
-    """Return `start` with estimates of f_n and ζ from the free decay, or from the peak of the stepped sine.
+    """Return `start` with f_n and ζ replaced by estimates, because far from their true values the fit diverges.
 
-    Far from them the fit does not converge.
+    The estimates are those of the free decay, or without one of the peak of DT in the stepped sine. If neither was
+    measured, `start` is returned unchanged.
     """
     theta = start.copy()
     if measured.decay is not None:
@@ -311,9 +319,10 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
 
 
 def _damping(bent: Real) -> Real:
-    """Return rows for the matrix of the residuals' derivatives, which damp constants that the data do not determine.
+    """Return additional rows for the matrix of derivatives, which keep undetermined constants near their values.
 
-    Their shape is (7, 7 + k); `bent` are the derivatives by the k nuisance parameters, shape (m, k).
+    Their shape is (7, 7 + k), for 7 constants and k nuisance parameters. `bent` are the derivatives of the residuals by
+    the nuisance parameters, shape (m, k).
     """
     return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
 
@@ -321,8 +330,9 @@ def _damping(bent: Real) -> Real:
 def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
 
-    Along directions that the data hardly determine, the step is damped; where they do not at all, it is zero. For the
-    arguments see `_linear`.
+    The step is damped along directions that the data hardly determine, and zero along those on which they contain
+    nothing. It is shortened so that no value changes by more than `LARGEST_STEP`. The arguments are results of
+    `_linear`.
     """
     damped = _damping(bent)
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
@@ -370,22 +380,23 @@ class _Held:
     jacobian: Real  # derivatives of the whitened residuals by the log constants
     bent: Real  # their derivatives by the nuisance parameters
     by_e: Real  # their derivatives by e
-    residual: Real  # whitened residuals, those of the prior knowledge included
+    residual: Real  # whitened residuals, including those of the prior knowledge of e and of the nuisance parameters
     motions: Mapping[float, SettledMotion]  # simulated motion by gap [m]
     converged: bool  # whether the last step of the fit was small
 
     @functools.cached_property
     def cost(self) -> float:
-        """−2 ln of the probability of this e: the integral of the likelihood over constants and nuisance parameters.
+        """−2 ln of the probability of this e, up to a constant that is the same for every e.
 
-        The likelihood is taken as normally distributed in them. A large uncertainty of a motion makes it lower, but
-        wider.
+        The probability is the integral of the likelihood over constants and nuisance parameters, for which the
+        likelihood is approximated by a normal distribution. A large uncertainty of a simulated motion makes this
+        distribution lower, but wider.
         """
         whole = np.concatenate([np.concatenate([self.jacobian, self.bent], axis=1), _damping(self.bent)])
         return self.misfit + 2.0 * float(np.log(np.abs(np.diag(np.linalg.qr(whole, mode="r")))).sum())
 
     def covariance(self) -> Real:
-        """Return the covariance matrix of the log constants if e is fixed, shape (7, 7)."""
+        """Return the covariance matrix of the log constants at this fixed e with free nuisance parameters, (7, 7)."""
         basis, _ = np.linalg.qr(self.bent)
         matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
         size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
@@ -393,7 +404,10 @@ class _Held:
         return np.asarray(inverse @ inverse.T)
 
     def proposal(self) -> tuple[float, float]:
-        """Return the e with the smallest χ² if the residuals were linear functions, and its standard uncertainty."""
+        """Estimate the e with the smallest χ², and return it with its standard uncertainty.
+
+        The residuals are extrapolated linearly from this fit, with constants and nuisance parameters free.
+        """
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
         basis, values, _ = np.linalg.svd(others / size, full_matrices=False)
@@ -406,7 +420,11 @@ class _Held:
 def _with_reductions(
     measured: Measured, known: RigConfig, theta: Real, nuisance: Real, on_step: Callable[[str], None]
 ) -> Identified:
-    """Return the result of `identify` with reductions; `theta` and `nuisance` fit the data without the sphere."""
+    """Fit constants and e to all data including the reductions of DT by the sphere, as a part of `identify`.
+
+    The fit starts at the log constants `theta` and the nuisance parameters `nuisance`, which fit the data without the
+    sphere.
+    """
     profile = _Profile(measured, known)
     on_step("estimating the masses from the motion with the sphere")
     starts = profile.factors(theta)
@@ -432,7 +450,7 @@ def _with_reductions(
 
 
 class _Profile:
-    """Computation of the profile of χ² over e: the best fits of the constants at fixed values of e."""
+    """Computation of the profile of χ² over e: the best fit of the constants at each of many fixed values of e."""
 
     def __init__(self, measured: Measured, known: RigConfig) -> None:
         assert measured.reduced is not None
@@ -442,9 +460,10 @@ class _Profile:
         self._slopes: dict[float, list[tuple[float, float, tuple[float, ...], Real, float]]] = {}
 
     def factors(self, theta: Real) -> list[Real]:
-        """Return starts for the fits: the constants with forces and masses multiplied by a common factor.
+        """Return starts for the fits: the log constants `theta` with all forces and masses scaled by a common factor.
 
-        They are those, at most `TRIED`, whose simulated motions agree best with the measured ratios of DT.
+        Of the factors `FACTORS`, those are used at which simulated and measured ratios of DT agree best: local minima
+        of their misfit, at most `TRIED`, and none that is worse than the best one by more than `WORSE`.
         """
         misfits = []
         for factor in FACTORS:
@@ -462,16 +481,20 @@ class _Profile:
         return [theta + FACTORS[i] * SCALE for i in order if misfits[i] <= misfits[order[0]] + WORSE]
 
     def run(self, starts: Sequence[Real], nuisance: Real, on_step: Callable[[str], None]) -> list[_Held]:
-        """Return the best fit at each of many values of e, ascending; a single one if e is exactly known.
+        """Fit the constants at many fixed values of e, and return the best fit at each, in ascending order of e.
+
+        If e is exactly known, there is only the fit at this e. Each fit starts at one of `starts` (log constants, with
+        the nuisance parameters `nuisance`) or at the fit at a neighbouring e.
 
         Raises:
-            SimulationError: the motions cannot be simulated from any start.
+            SimulationError: the motion cannot be simulated at all measured gaps, from any start.
         """
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
-                f"no motion with the sphere can be simulated at all measured gaps, from any of {len(starts)} starts of "
-                "the fit: check sphere, contact law and gaps of the known rig, and the measured current"
+                "the motion with the sphere cannot be simulated at every measured gap, from none of the "
+                f"{len(starts)} starts of the fit: check sphere and contact law in the configuration of the known rig, "
+                "the gaps, and the measured current"
             )
         if self._u == 0.0:
             return [min(first, key=lambda one: one.cost)]
@@ -493,7 +516,11 @@ class _Profile:
         return [held[e] for e in sorted(held)]
 
     def _descend(self, held: dict[float, _Held], here: _Held) -> None:
-        """Add fits to `held` (by value of e) at values of e closer and closer to the minimum of χ² near `here`."""
+        """Add to `held` fits at values of e that approach the minimum of χ² near the fit `here`.
+
+        `held` contains the fits by their e. The search ends after `PROPOSED` fits, or if the next e would be out of
+        range or close to one in `held`, or if its fit fails or is worse.
+        """
         for _ in range(PROPOSED):
             e, u = here.proposal()
             beyond = abs(e - self._nominal) > COARSE_E[-1] * self._u or e != self._within(e)
@@ -506,9 +533,9 @@ class _Profile:
             here = new
 
     def _divide(self, held: dict[float, _Held]) -> bool:
-        """Add a fit to `held` in the middle of the interval of e over which the probability density changes most.
+        """Add to `held` (fits by their e) a fit in the middle of the interval where the probability changes most.
 
-        Returns False if that change is small enough, or the fit has failed.
+        Returns True if a fit was added, and False if that change is small enough (`KNOWN`) or the fit has failed.
         """
         e = sorted(held)
         cost = np.array([held[one].cost for one in e])
@@ -536,12 +563,15 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return the rig at a measured gap, with the measured current corrected for its relative error `gain`."""
+        """Return the rig at a measured gap, driven by the measured current divided by e^`gain`, its relative error."""
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
-        """Return the fit to all data at a fixed e, from a start; None if a motion on the way cannot be simulated."""
+        """Fit the constants to all data at a fixed e, from the log constants `theta` and the nuisance parameters.
+
+        Returns None if a motion on the way cannot be simulated, or a constant leaves its range.
+        """
         try:
             here = self._at(e, theta, nuisance)
             for _ in range(ROUNDS):
@@ -560,7 +590,10 @@ class _Profile:
         return here
 
     def _at(self, e: float, theta: Real, nuisance: Real) -> _Held:
-        """Simulate all measured gaps, and return the whitened residuals of all data and their derivatives, unfitted."""
+        """Return residuals of all data and their derivatives at given values, for which all gaps are simulated.
+
+        The result is marked as not converged, because nothing is fitted.
+        """
         residual, jacobian, bent = _linear(self._measured, self._known, theta, nuisance)
         rows, by_constants, by_nuisances, by_e = [], [], [], []
         motions, widths = {}, 0.0
@@ -588,10 +621,10 @@ class _Profile:
         )  # fmt: skip
 
     def _motion(self, gap_m: float, theta: Real, gain: float, e: float) -> tuple[SettledMotion, Real, float]:
-        """Simulate the settled motion at a gap; return it, the derivatives of its log ratio, and its roughness.
+        """Simulate the settled motion at a gap; return it, the derivatives of its `log_ratio`, and their roughness.
 
-        The derivatives are those by the log constants and, last, by e, see `SettledRig.slopes`. Those of a nearby
-        motion of the same kind are reused, because they take most of the time.
+        The derivatives are those by the log constants and, last, by e; for the roughness see `SettledRig.slopes`. Both
+        take most of the time, so they are reused for later motions of the same kind with nearly the same e and mass.
         """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
@@ -614,9 +647,10 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the log constants and, last, e over the profile, weighted by probability.
+    """Return mean and covariance of the log constants and, last, e over a profile of fits, weighted by probability.
 
-    The third result is all explanations if they differ clearly, otherwise it is empty.
+    The third result contains the separate explanations of the data, the most probable first. It is empty if they do not
+    differ clearly, or there is only one.
     """
     e = np.array([one.e for one in held])
     theta, within = np.array([one.theta for one in held]), np.array([one.covariance() for one in held])
@@ -650,7 +684,7 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether any two explanations differ in a constant by more than their uncertainties allow."""
+    """Return whether any two explanations differ in a constant by more than `APART` times the sum of uncertainties."""
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
         for one, other in itertools.combinations(found, 2)
@@ -658,7 +692,10 @@ def _differ(found: Sequence[Alternative]) -> bool:
 
 
 def _parts(density: Real) -> Iterator[slice]:
-    """Yield adjoining ranges of a probability density, between whose peaks it is far below both (`SEPARATE`)."""
+    """Yield adjoining ranges of a tabulated probability density with one separate peak each.
+
+    Two peaks are separate if the density between them falls below `SEPARATE` times the lower peak.
+    """
     level = np.log(np.maximum(density, 1e-300))
     peaks = scipy.signal.find_peaks(np.pad(level, 1, constant_values=-1e9), prominence=-math.log(SEPARATE))[0] - 1
     cuts = [first + int(np.argmin(level[first:last])) for first, last in itertools.pairwise(peaks.tolist())]
@@ -667,9 +704,10 @@ def _parts(density: Real) -> Iterator[slice]:
 
 
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
-    """Return the whitened residuals of the data without the sphere and of the prior, and their derivatives.
+    """Return the whitened residuals of the data without the sphere and of the nuisance parameters' prior knowledge.
 
-    The shapes are (m,), (m, 7) for derivatives by the log constants `theta`, (m, 6) by the nuisance parameters.
+    The second and third results are their derivatives by the log constants `theta` and by the nuisance parameters. The
+    shapes are (m,), (m, 7) and (m, 6).
     """
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains
@@ -710,14 +748,17 @@ def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -
 
 
 def _apart(one: Real, other: Real) -> Real:
-    """Return the difference of two results of `_model`, shape (3, n); that of the phases is within ±π."""
+    """Return the difference of two results of `_model`, shape (3, n); that of the phases is brought within ±π."""
     difference = one - other
     difference[2] -= 2.0 * math.pi * np.round(difference[2] / (2.0 * math.pi))
     return difference
 
 
 def _prior(measured: Measured) -> Real:
-    """Return the standard uncertainty of each nuisance parameter before the fit, from certificate and noise."""
+    """Return the standard uncertainty of each parameter in `NUISANCES` before the fit, shape (6,).
+
+    Those of the sensors come from their certificate, that of DT without sphere from the noise of its measurement.
+    """
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])
 

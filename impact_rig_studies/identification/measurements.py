@@ -13,9 +13,9 @@
 # limitations under the License.
 """Measurements in the form in which `fit.identify` uses them: with noise separated from errors of calibration.
 
-Errors of calibration are common to all points: one gain and one nonlinearity (curve) per sensor
-(`analysis.calibration`). They become nuisance parameters (unknowns of no interest) with the standard uncertainties of
-the certificate. The remaining deviation of each point is noise.
+Errors of calibration are common to all points: each sensor has one relative error of its gain, and laser and base
+sensor also one nonlinearity (curve), see `analysis.calibration`. The fit treats them as nuisance parameters (unknowns
+of no interest) with the standard uncertainties of the certificate. The remaining deviation of each point is noise.
 """
 
 from __future__ import annotations
@@ -137,9 +137,9 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return a frequency curve without the sphere, from the first measurement of each point.
+    """Return the points of a frequency curve without the sphere as `SineData`, from the first measurement of each.
 
-    The contribution of `gains` is removed from the uncertainties.
+    The uncertainties of the amplitudes are those of noise alone, without the calibration errors `gains`.
     """
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])
@@ -156,11 +156,11 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 
 
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
-    """Return the ratios of DT with the sphere to DT without it, at one frequency and those gaps that are measured.
+    """Return the ratios of DT with the sphere to DT without it, at one frequency and those of `gaps_m` with a result.
 
     Points at which the sphere did not strike are left out, as they contain no information on it. If impacts were not
-    counted, for lack of an accelerometer, the point is used. None means that no point without the sphere, or none with
-    it, was measured.
+    counted, for lack of an accelerometer, the point is used. The result is None if DT without the sphere was not
+    measured at this frequency, or if no point with the sphere remains.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]
@@ -184,7 +184,7 @@ def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gai
 
 
 def _current(point: Point) -> float:
-    """Return the measured amplitude of a point's current [A peak], or the commanded one if it was not measured."""
+    """Return a point's measured amplitude of the current [A peak]; without a positive one, the commanded amplitude."""
     read = float(np.mean(point.rows["current_amplitude"]))
     return read if math.isfinite(read) and read > 0.0 else point.current_a
 
@@ -217,7 +217,10 @@ SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response
 
 
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
-    """Pluck a simulated rig without its sphere from `DISPLACEMENT_M`, and measure f_n and ζ from its scans."""
+    """Simulate the free decay of a rig without its sphere, and return f_n and ζ as measured from its scans.
+
+    The rig is that of `config`, whose superior base is released from the displacement `DISPLACEMENT_M`.
+    """
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)
     rig.core.pluck(DISPLACEMENT_M)
@@ -228,11 +231,12 @@ def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
 def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
     """Measure natural frequency and damping ratio from the free decay after the last pluck in a recorded run.
 
-    The record begins `SETTLE_S` after the pluck, and ends at a reset or at missing scans. A measurement of an external
-    rig has no journal of plucks: its decay begins at the largest distance of the superior base from its final position.
+    The decay is evaluated from `SETTLE_S` after the pluck until a reset, missing scans or the end of the run. An
+    imported run has no journal of plucks. Its decay is evaluated from `SETTLE_S` after the largest distance of the
+    superior base from its final position.
 
     Raises:
-        RecordingError: the run contains no pluck, or no scans between `SETTLE_S` after it and a reset.
+        RecordingError: a recorded run contains no pluck, or no scans between `SETTLE_S` after it and a reset.
     """
     if not run.holds(topics.JOURNAL) and is_measured(run.provenance):
         record = last_record(run)

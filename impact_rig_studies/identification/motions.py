@@ -13,10 +13,10 @@
 # limitations under the License.
 """Settled motion of a simulated rig with its sphere, and derivatives of its DT by the rig's constants, for the fit.
 
-If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`). Then single returns of
-the map suffice, and their multipliers show whether the orbit is stable. If the motion does not repeat, its mean over
-many cycles is compared with a measurement. The mean has a standard uncertainty, from the scatter of batches of cycles,
-and its derivatives are those of a plane through its values at neighbours.
+If the motion repeats, the derivatives follow from the stroboscopic map (`Stroboscope.slopes`): only single periods are
+simulated, and the multipliers of the map show whether the periodic orbit is stable. If the motion does not repeat, DT
+is the ratio of mean amplitudes over many cycles. Its standard uncertainty follows from the scatter of batches of
+cycles. Its derivatives are the slopes of a plane that is fitted to its values for slightly changed parameters.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ SETTLED = Settings(settle_tolerance=1e-6, settle_cycles=288, cycles=48)  # stric
 REPEATS = 1e-5  # relative change of DT between the halves of a record up to which a periodic motion repeats
 BATCHES, BATCH_CYCLES = 10, 48  # number of batches over which an irregular motion is averaged, and cycles in each
 AROUND = 0.01 * np.array([-1.0, -2 / 3, -1 / 3, 1 / 3, 2 / 3, 1.0])
-"""Changes of a parameter to the neighbours of such a motion, through which its derivatives are fitted.
+"""Changes of a parameter at which an irregular motion is simulated to fit its derivatives.
 
-There are so many of them because their scatter is the roughness: from few, it is often far too small.
+There are six of them because their scatter gives the roughness (`SettledRig.slopes`), which is often far too small with
+fewer.
 """
 
 
@@ -64,7 +65,7 @@ class SettledMotion(NamedTuple):
 
 
 def place_of(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> Place:
-    """Return the rig with its sphere at a gap, driven by a sine of current [A peak]."""
+    """Return a rig with its sphere at a gap [m], driven by a sinusoidal current `current_a` [A peak]."""
     own = {"sphere.present": True, "barriers.gap_m": gap_m, "drive.kind": CURRENT_DRIVE}
     return Place(from_flat(config, own), frequency_hz, current_a)
 
@@ -75,7 +76,7 @@ CURRENT_DRIVE = "current"  # value of `drive.kind`
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
     """Simulate a rig with its sphere from rest until its motion has settled, and return this motion.
 
-    DT without the sphere, to which it refers, is computed in closed form. For the arguments see `place_of`.
+    DT without the sphere, to which the result relates DT, is computed in closed form. For the arguments see `place_of`.
 
     Raises:
         SimulationError: the motion cannot be simulated.
@@ -84,7 +85,10 @@ def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: f
 
 
 class SettledRig:
-    """Simulated rig with its sphere whose motion has settled, and from which derivatives can be computed.
+    """Simulated rig with its sphere in settled motion, which computes derivatives of its DT by parameters.
+
+    Args:
+        place: configuration of the rig, with frequency and amplitude of its drive.
 
     Raises:
         SimulationError: the motion cannot be simulated.
@@ -97,8 +101,8 @@ class SettledRig:
         if found.regime == FAILED or not found.dt > 0.0:
             gap_mm = place.config.barriers.gap_m * 1e3
             raise SimulationError(
-                f"gap {gap_mm:g} mm, {place.frequency_hz:g} Hz, {place.amplitude:g} A peak: the motion cannot be "
-                "simulated"
+                f"the motion of the sphere cannot be simulated at gap {gap_mm:g} mm, {place.frequency_hz:g} Hz and "
+                f"{place.amplitude:g} A peak: check sphere, contact law and current"
             )
         u, dt, seen = 0.0, found.dt, found.regime
         if not (math.isfinite(found.period) and found.drift <= REPEATS):
@@ -118,15 +122,17 @@ class SettledRig:
     ) -> tuple[Real, float]:
         """Return the derivatives of `motion.log_ratio` by parameters, and the roughness of this function.
 
-        The mean of an irregular motion changes by jumps with any parameter. The roughness is the standard deviation of
-        the difference of two values of log_ratio from its linear dependence due to such jumps: the measured motion and
-        the simulated one both lie off the line. It is 0 for a stable orbit. This advances the rig.
+        The mean of an irregular motion jumps under small changes of any parameter, so that log_ratio scatters about its
+        linear dependence. The roughness is √2 times the standard deviation of this scatter: that of the difference of
+        two values, because the measured motion and the simulated one both scatter. It is 0 for a stable periodic orbit.
+        The call advances the simulated rig.
 
         Args:
             neighbour: `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.
             count: number of parameters.
             amplitude: index of the parameter that multiplies the current.
-            others: indices of the parameters that change the motion otherwise than by the amplitude of the base.
+            others: indices of the parameters that change the motion of the sphere in another way than through the
+                amplitude of the inferior base.
 
         Returns:
             The derivatives, shape (count,), and the roughness.
@@ -156,7 +162,10 @@ class SettledRig:
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of a closed form `of` by `count` parameters at `place`, shape (count,)."""
+    """Return the derivatives of the function `of` by `count` parameters at `place`, from differences, shape (count,).
+
+    `neighbour(i, step)` returns `place` with the i-th parameter changed by `step`.
+    """
     here = of(place)
     return np.array([(of(neighbour(i, STEP)) - here) / STEP for i in range(count)])
 

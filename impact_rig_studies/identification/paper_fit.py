@@ -13,10 +13,10 @@
 # limitations under the License.
 """Derivation of the default rig from the paper: natural frequency f_n and damping ratio ζ of its structure.
 
-They are fitted to the five published reductions of DT, and to the resonance at 9.1 Hz. The sphere, the contact law and
+Both are fitted to the five published reductions of DT, and to the resonance at 9.1 Hz. The sphere, the contact law and
 e are those of the paper. Mass and shaker have catalogue values. The current is chosen such that the superior base moves
-as in the paper. `PaperFit.information` shows how well the paper determines each constant. If the current is fitted as
-well, it shows that the paper determines too little.
+as in the paper. `PaperFit.information` shows how well the paper determines each constant: too little to fit the current
+as well.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class PaperFit:
 def fit_paper(
     base: RigConfig, free: Sequence[str] = ("f_n", "ζ"), on_step: Callable[[str], None] = lambda _: None
 ) -> PaperFit:
-    """Fit constants of the simulated rig to the paper's reductions and resonance, starting at `START`.
+    """Fit values of the simulated rig to the paper's reductions and resonance, starting at `START`.
 
-    It also computes how well these figures determine each constant.
+    The result also contains how well the figures of the paper determine each constant, with the current.
 
     Args:
         base: rig with all other values, which count as known; normally the shipped configuration.
@@ -78,10 +78,10 @@ def fit_paper(
     default = np.append(logarithms(base), np.log(CURRENT_A))
 
     def residual(at: Real) -> Real:
-        """Return the differences of the simulated rig from the paper, in standard uncertainties of the paper's figures.
+        """Return simulated minus published values, in standard uncertainties of the paper's figures, shape (6,).
 
-        They are those of the five reductions and, last, that of the natural frequency. `at` are the logarithms of the
-        values in `ALL`.
+        They are those of the five reductions and, last, that of the natural frequency. `at` contains the logarithms of
+        the values in `ALL`.
         """
         reductions = _reductions(base, at)
         return np.append((reductions - published) / U_POINTS, (np.exp(at[0]) - FREQUENCY_HZ) / U_FREQUENCY_HZ)
@@ -119,12 +119,12 @@ def fit_paper(
 
 
 def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequence[int]) -> Real:
-    """Return the derivatives of the residuals by the logarithms of some of the values in `ALL`, one column each.
+    """Return the derivatives of residuals by the logarithms of some of the values in `ALL`, one column for each value.
 
     Args:
-        residual: the residuals as a function of the logarithms.
-        at: logarithms of all values.
-        here: the residuals there.
+        residual: function that returns the residuals for the logarithms of all values.
+        at: logarithms of all values in `ALL`, at which to differentiate.
+        here: residuals at `at`.
         places: indices of the values by which to differentiate.
     """
     unit = np.eye(len(at))
@@ -132,7 +132,7 @@ def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequ
 
 
 def _reductions(base: RigConfig, at: Real) -> Real:
-    """Simulate the five gaps of the paper, and return their reductions of DT in percent.
+    """Simulate the rig at the five gaps of the paper and at 9.1 Hz, and return the reductions of DT in percent.
 
     Args:
         base: rig with the known values.
