@@ -68,7 +68,10 @@ NODES: dict[str, Use] = {
         "Topics and parameters: docs/reference/interface.md.",
     ),
     "recorder": (
-        "Recorder: writes the topics of a rig into an MCAP run, at once or (record:=false) from ~/start to ~/stop.",
+        (
+            "Recorder: writes the topics of a rig into a run (a directory with an MCAP file). It records from its\n"
+            "start or, with record:=false, between calls of its services ~/start and ~/stop."
+        ),
         "name:=first_light",
         "Topics, services and parameters: docs/reference/interface.md.",
     ),
@@ -123,8 +126,8 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
     """Run the program of a node: show its help if requested, otherwise call `main`, which does the heavy imports.
 
-    The program ends in order, with exit code 0, on SIGINT or SIGTERM. If a launch file or a `Processes` started it, it
-    also ends when that process is gone.
+    On SIGINT or SIGTERM, the program cleans up and ends with exit code 0. If a launch file or
+    `impact_rig.client.Processes` started it, it also ends when the process that started it is gone.
     """
     if show_help(node, use, sys.argv[1:]):
         return
@@ -137,7 +140,7 @@ def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
 
 
 def _end(ending: Ending) -> None:
-    """End this process because its parent is gone: by SIGTERM, and by force if that takes longer than `PATIENCE_S`."""
+    """End this process because its parent is gone: by SIGTERM, and after `PATIENCE_S` seconds by force, with code 1."""
     ending.reason = ", as the process that started it is gone"
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(PATIENCE_S)

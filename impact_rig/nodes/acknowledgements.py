@@ -13,10 +13,11 @@
 # limitations under the License.
 """Flow control for `daq/scan`: subscriber discovery, the window of unacknowledged blocks, and acknowledgements.
 
-A rig that is not paced by the wall clock may be only a limited number of blocks (the window) ahead of its slowest peer.
-Peers are the nodes that the rig must wait for; it finds their subscriptions in the ROS graph. An acknowledgement covers
-all blocks up to its stamp: a peer acknowledges a single block at once, a burst of blocks together, and in real time at
-intervals. `Session` decides what to do about a peer that does not acknowledge.
+A block is one message on `daq/scan`: the scans of 10 ms by default. A rig that is not paced by the wall clock may be
+only a limited number of blocks (the window) ahead of its slowest peer. Peers are the nodes that the rig must wait for;
+it finds their subscriptions in the ROS graph. An acknowledgement (a message on `daq/ack`) covers all blocks up to its
+stamp. A peer acknowledges a single block at once, a burst of blocks together, and in real time every 50 ms. `Session`
+decides what to do about a peer that does not acknowledge.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ REALTIME_S = 0.05
 Such a rig waits for no peer; it only uses acknowledgements to detect readers that are behind.
 """
 PRESENT_NS = 86_400 * NS_PER_S
-"""Greatest distance [ns] of a block's stamp from the system time for which the block comes from a rig in real time.
+"""A block counts as one of a rig in real time if its stamp differs from the system time by less than this [ns]: a day.
 
 In the other time modes, stamps begin at 0. The limit is wide because a rig that cannot keep real time stays behind the
 system time.
@@ -69,13 +70,13 @@ class _Reader:
 class AckWindow:
     """Record of the blocks that each reader has acknowledged; it limits how far the rig runs ahead of its slowest peer.
 
-    A reader acknowledges by the stamp of the last block that it has processed, one or several blocks at a time. The
-    stamps are converted to block counts, which are compared. The rig waits for its peers; the other readers are only
-    observed.
+    A block is one message on `daq/scan`. A reader acknowledges by the stamp of the last block that it has processed,
+    which covers all earlier blocks. Stamps are converted to numbers of blocks since the start of this record. The rig
+    waits for its peers; the other readers are only observed.
 
     Args:
-        peers: names that the peers use in their acknowledgements.
-        window: maximum number of blocks that are published and not acknowledged by every peer.
+        peers: node names of the peers, which they also use in their acknowledgements.
+        window: maximum number of published blocks that the slowest peer has not acknowledged.
         timeout_ns: time [ns] after which a peer that has blocks to acknowledge and acknowledges none counts as silent.
         clock: monotonic clock [ns] for the timeout.
     """
@@ -97,11 +98,14 @@ class AckWindow:
 
     @property
     def newest_ns(self) -> int | None:
-        """Stamp [ns of rig time] of the newest published block; None before the first."""
+        """Stamp [ns of rig time] of the newest published block of scans; None before the first."""
         return self._stamps[-1] if self._stamps else None
 
     def set_peers(self, peers: Iterable[str]) -> None:
-        """Replace the peers that the rig waits for; a new peer need not acknowledge blocks published before."""
+        """Replace the peers that the rig waits for; a new peer need not acknowledge blocks published before.
+
+        A former peer that has acknowledged a block is observed further; one that has acknowledged none is dropped.
+        """
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
             reader = self._readers.setdefault(name, _Reader(self._published, self._clock()))
@@ -115,7 +119,7 @@ class AckWindow:
         self._readers.setdefault(name, _Reader(0, self._clock()))
 
     def published(self, stamp_ns: int) -> None:
-        """Count a block with this stamp [ns of rig time] as published, so that the peers have to acknowledge it."""
+        """Count a block of scans with this stamp [ns of rig time] as published: the peers must now acknowledge it."""
         now = self._clock()
         for reader in self._readers.values():
             if self._owed(reader) == 0:
@@ -128,9 +132,11 @@ class AckWindow:
     def acknowledge(self, name: str, stamp_ns: int) -> bool:
         """Count all blocks up to this stamp [ns of rig time] as acknowledged by the reader `name`.
 
+        The rig waits again for a peer that it has continued without (see `waive`).
+
         Returns:
-            False if the acknowledgement is invalid and ignored: the reader is unknown, or no block so late was
-            published.
+            False if the acknowledgement is invalid and ignored: the reader is neither a peer nor watched, or the stamp
+            is later than that of the newest published block.
         """
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
@@ -143,9 +149,10 @@ class AckWindow:
         return True
 
     def room(self) -> int:
-        """Return how many more blocks may be published now, before a peer must acknowledge; without peers, the window.
+        """Return how many more blocks may be published before the slowest peer must acknowledge one.
 
-        It is negative after the window was reduced below the number of outstanding blocks.
+        Without peers it is the whole window. It is negative after the window was reduced below the number of
+        outstanding blocks.
         """
         return self.window - self.outstanding()
 
@@ -154,7 +161,10 @@ class AckWindow:
         return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
-        """Return, by reader, the number of published blocks that it has not acknowledged; 0 for a waived peer."""
+        """Return, by name of each reader (peer or not), how many published blocks it has not acknowledged.
+
+        It is 0 for a peer that the rig has continued without (see `waive`).
+        """
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
     def heard(self) -> tuple[str, ...]:
@@ -162,28 +172,32 @@ class AckWindow:
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that have owed acknowledgements for longer than the timeout without acknowledging any."""
+        """Return the peers that have had blocks to acknowledge for longer than the timeout and acknowledged none."""
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
 
     def forgive(self, names: Iterable[str]) -> None:
-        """Count all published blocks as acknowledged by these peers; the rig still waits for them with later blocks."""
+        """Count all blocks published so far as acknowledged by these peers, and restart their timeout.
+
+        The rig still waits for these peers to acknowledge later blocks.
+        """
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
 
     def heard_ns(self, name: str) -> int:
-        """Return the time [ns of this window's clock] since which a reader counts as silent.
+        """Return the time [ns of this window's clock] from which the silence of a reader is measured.
 
-        It is the time of its last progress or, if it had acknowledged every block, that of the next published block.
+        It is the time at which the reader last acknowledged a further block. If it had then acknowledged every block,
+        it is the time at which the next block was published.
         """
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
-        """Let the rig continue without waiting for each silent peer until that peer acknowledges again.
+        """Let the rig continue without its silent peers; it waits for each of them again once that peer acknowledges.
 
-        If all peers are silent, none is waived: the present blocks count as acknowledged, and the rig waits for the
-        peers again after the next window of blocks. So it never leaves all its peers behind.
+        All blocks published so far count as acknowledged by all peers. If every peer is silent, the rig continues only
+        for one more window of blocks and then waits for the peers again, so it never leaves all its peers behind.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) else ():
@@ -191,18 +205,19 @@ class AckWindow:
         self.forgive(self.peers)
 
     def waived(self) -> tuple[str, ...]:
-        """Return the peers that the rig does not wait for, because they were silent when it was resumed."""
+        """Return the peers that the rig does not wait for: `waive` found them silent, and they are silent since."""
         return tuple(name for name in self.peers if self._readers[name].waived)
 
     def excuse(self) -> None:
-        """Restart the timeout of every peer, because this process was suspended and could not process messages."""
+        """Restart the timeout of every peer; for use after this process was suspended and received no messages."""
         for name in self.peers:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
         """Drop the acknowledgements of a reader that no longer subscribes.
 
-        If it is a peer, it stays one: a new node of this name must acknowledge the blocks that are outstanding.
+        If the reader is a peer, its name stays one: the rig waits for a new node of this name to acknowledge the blocks
+        that the former node has not acknowledged.
         """
         reader = self._readers.pop(name)
         if name in self.peers:
@@ -213,11 +228,11 @@ class AckWindow:
 
 
 class Readers:
-    """Subscribers of one publisher's topic, found in the ROS graph; they show when all peers are connected.
+    """Subscribers of one publisher's topic as the ROS graph shows them, to find out when all peers are connected.
 
-    A block that is sent before a peer is connected is lost to that peer. The graph lists a subscription before the
-    publisher is matched (connected) with it, and the publisher only counts its matches. Therefore the peers count as
-    connected once all compatible subscriptions in the graph are matched.
+    A message that is sent before a peer is connected is lost to that peer. The graph lists a subscription before the
+    publisher is matched (connected) with it, and the publisher knows only the number of its matches. Therefore the
+    peers in the graph count as connected once the publisher has a match for every compatible subscription there.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:
@@ -236,7 +251,7 @@ class Readers:
         return int(self._publisher.get_subscription_count())
 
     def expect(self, names: Iterable[str]) -> None:
-        """Set the names of the peers that must be connected, and consider all of them missing until they are found."""
+        """Set the names of the peers that must be connected; each counts as missing until `all_matched` finds it."""
         self._missing = set(names)
         self._expected_at = time.monotonic()
         self._polled_at = -GRAPH_POLL_S
@@ -246,13 +261,13 @@ class Readers:
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:
-        """Return whether a peer is in `missing` more than `patience_s` seconds after the call of `expect`."""
+        """Return whether an expected peer is still missing when `patience_s` seconds have passed since `expect`."""
         return bool(self._missing) and time.monotonic() - self._expected_at > patience_s
 
     def all_matched(self) -> bool:
-        """Return whether every expected peer is connected, so that it loses no block.
+        """Return whether every expected peer has been found connected since `expect`, even if it is gone by now.
 
-        The graph is queried at most every 20 ms.
+        While a peer is missing, a call queries the graph, at most every 20 ms.
         """
         if self._missing and self._due(POLL_S):
             # taken from the graph: the publisher's own profile has 0 where the graph has infinite
@@ -269,14 +284,15 @@ class Readers:
     def knows(self, name: str) -> bool:
         """Return whether a node of this name subscribes to the publisher's topic.
 
-        Acknowledgements with other names are ignored, because invented names would fill the memory.
+        Before False is returned, the graph is queried again, unless the last query is less than 0.5 s old and the
+        number of matches is the same.
         """
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()
         return name in self._present
 
     def gone(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return those of the named nodes that no longer subscribe to the topic; the answer is at most 0.5 s old."""
+        """Return those of the named nodes that do not subscribe to the topic, by a query of the last 0.5 s."""
         if self._due(GRAPH_POLL_S):
             self._poll()
         return tuple(name for name in names if name not in self._present)
@@ -303,15 +319,17 @@ class Readers:
 class Acknowledgements:
     """Sender of a reader's acknowledgements of `daq/scan`, as messages on `daq/ack`.
 
-    A single block is acknowledged at once. The blocks of a burst, at most 16, are acknowledged together, after the
-    executor has delivered those that wait: a message costs its sender and its receiver more than a block does. The
-    blocks of a rig in real time are acknowledged by a timer, every 50 ms.
+    A block (one message on `daq/scan`) that arrives alone is acknowledged at once. The blocks of a burst, at most 16,
+    are acknowledged by one message after the executor has delivered them, because sending and receiving an
+    acknowledgement takes more time than a block does. The blocks of a rig in real time are acknowledged by a timer,
+    every 50 ms.
 
     Args:
         node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.
         may_send: called before each acknowledgement; returns whether the node has secured the data that it
-            acknowledges. If it returns False, this acknowledgement is not sent.
-        catch_up: called by the timer in real time; processes the blocks that the node has put off.
+            acknowledges. If it returns False, nothing is sent; the next acknowledgement covers these blocks, too.
+        catch_up: called by the timer in real time, before it acknowledges; processes the blocks that the node has
+            received and queued.
     """
 
     def __init__(
@@ -333,9 +351,9 @@ class Acknowledgements:
         self._has_timer = False
 
     def processed(self, stamp_ns: int) -> None:
-        """Register that the node has processed the block with this stamp [ns], and acknowledge it.
+        """Register that the node has processed the block of scans with this stamp [ns], and acknowledge it.
 
-        Its acknowledgement may be sent later: together with those of further blocks, or by the timer in real time.
+        The acknowledgement may be sent later: one message for several blocks, or in real time by the timer.
         """
         self._newest_ns = stamp_ns
         self._waiting += 1
@@ -355,9 +373,9 @@ class Acknowledgements:
                 executor.create_task(self._later)
 
     def flush(self) -> None:
-        """Acknowledge now the processed blocks of `daq/scan` that are not acknowledged yet.
+        """Acknowledge now the processed blocks of `daq/scan` that are not acknowledged yet, if `may_send` allows it.
 
-        Call this when the node is deactivated: that ends the timer for the blocks of a rig in real time.
+        Call this when the node is deactivated, as deactivation ends the timer that acknowledges in real time.
         """
         self.is_timed = self._has_timer = False
         if self._node.context.ok():

@@ -88,7 +88,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         self.offer(*PUBLISHED, topics.ACK)
 
     def activate(self) -> None:
-        """Start a new measurement with the present settings, and subscribe to scans, calibration, drive and notes."""
+        """Start a new measurement with the present settings; subscribe to scans, calibration, drive and gap labels."""
         names = [name for name, _, _ in Tree(TrackerSettings).fields()]
         self._tracker = Tracker(TrackerSettings(**{name: getattr(self.settings, name) for name in names}))
         self._blockwise = [analysis() for analysis in ANALYSES]
@@ -104,7 +104,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         )
 
     def deactivate(self) -> None:
-        """Publish the results of measurements in progress, and send the last acknowledgement."""
+        """Publish the results of measurements in progress, and acknowledge the last processed blocks of scans."""
         tracker, self._tracker = self._tracker, None
         try:
             if tracker is not None and self.context.ok():
@@ -147,8 +147,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def health(self) -> tuple[Level, str]:
         """Return level and message of diagnostics.
 
-        The level is a warning if the node is inactive, if scans arrive without calibration, or if scans were lost;
-        otherwise it is OK, also if DT cannot be measured.
+        The level is a warning if the node is inactive, if scans arrive without calibration, or if scans were lost since
+        the activation. Otherwise it is OK, also if the displacement transmissibility (DT) cannot be measured.
         """
         if self._tracker is None:
             return Level.WARN, self.state
@@ -157,14 +157,14 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if not self._tracker.is_calibrated:
             return Level.WARN, UNCALIBRATED
         if self._tracker.counters.lost_scans:
-            return Level.WARN, "some scans of this measurement never arrived: see lost_scans"
+            return Level.WARN, "some scans were lost since the activation: the value lost_scans is their number"
         why = self._waiting()
         return Level.OK, self._tracker.state.word.replace("_", " ") + (f": {why}" if why else "")
 
     def figures(self) -> dict[str, object]:
         """Return values for diagnostics: newest settled transmissibility, gap label, counters, progress of settling.
 
-        The transmissibility is NaN before the first settled one. An inactive node has no values.
+        The transmissibility is NaN before a response has settled for the first time. An inactive node has no values.
         """
         tracker = self._tracker
         if tracker is None:
@@ -247,7 +247,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                     self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
 
     def _analyse(self, scan: Table) -> None:
-        """Pass a block to each of the further analyses (`ANALYSES`) whose channels it has; publish their results."""
+        """Pass a block of scans to each of the `ANALYSES` whose channels it contains, and publish their results."""
         for analysis in self._blockwise:
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)

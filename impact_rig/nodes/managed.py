@@ -69,8 +69,8 @@ class Refusals:
 def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
     """Return a wrapper of `callback` that passes any exception to `report` instead of raising it.
 
-    `report` gets the name of the callback and a description of the exception, and the wrapper returns None. As with
-    `with_info`, `callback` gets the arguments one by one.
+    `report` gets the name of the callback and a description of the exception, and the wrapper returns None. `callback`
+    gets its arguments one by one, even from an executor that passes them as a single tuple.
     """
 
     @functools.wraps(callback)
@@ -85,10 +85,11 @@ def guarded(callback: Callable[..., Any], report: Report) -> Callable[..., Any]:
 
 
 def with_info(callback: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a wrapper of a subscription callback that calls it with (message, info) under every executor.
+    """Return a wrapper of a subscription callback that calls it with two arguments under every executor.
 
-    Jazzy's events executor passes both as one tuple, the others as two arguments. rclpy decides by the signature
-    whether the callback wants the info, and `wraps` keeps the signature.
+    The arguments are the message and its info (rclpy's dictionary with the times of sending and receipt). Jazzy's
+    events executor passes both as one tuple, the others as two arguments. rclpy decides by the signature of a callback
+    whether it wants the info; the wrapper keeps the signature.
     """
 
     @functools.wraps(callback)
@@ -106,9 +107,10 @@ def _each(args: tuple[Any, ...]) -> tuple[Any, ...]:
 def guarded_answer(callback: Callable[[Any, Any], Any], refuse: Callable[[str], None]) -> Callable[[Any, Any], Any]:
     """Return a wrapper of a service callback that answers the request instead of raising an exception.
 
-    `refuse` is called with the description of the exception. The response is the one given, with default values; a
-    request to set parameters is rejected with that description. This also protects rclpy's own parameter services,
-    which raise if a request has an unknown parameter type.
+    If `callback` raises one, the wrapper calls `refuse` with a description of it, and returns the response object that
+    it was given. In a response to a request to set parameters, each parameter without a result is then rejected with
+    that description. This also protects rclpy's own parameter services, which raise if a request has an unknown
+    parameter type.
     """
 
     @functools.wraps(callback)
@@ -165,7 +167,7 @@ class NodeState:
     Attributes:
         word: the most severe word that applies.
         reason: readable reason; empty if the word says enough.
-        since_ns: rig time at which the state began [ns]; None stands for the time of its first report.
+        since_ns: rig time at which the state began [ns]; None means the rig time of the first report with this word.
     """
 
     word: enum.StrEnum
@@ -191,7 +193,10 @@ class CpuMeter:
 
 
 def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
-    """Return the most severe level of (level, message) pairs, OK without any, and its messages, joined by "; "."""
+    """Return the most severe level of (level, message) pairs, and all messages of that level, joined by "; ".
+
+    Without a pair, the level is OK and the message is empty.
+    """
     level = max((found for found, _ in statuses), default=Level.OK)
     return level, "; ".join(message for found, message in statuses if found == level and message)
 
@@ -213,7 +218,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def __init__(self, name: str, tree: Tree[S], **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
         self.is_ending: Callable[[], bool] = lambda: False
-        """Function that returns whether this process is about to end; the node then reports no changes.
+        """Function that returns whether this process is about to end; the node then publishes no more diagnostics.
 
         Other nodes often end at the same time, and a report that they are missing would mislead.
         """
@@ -285,7 +290,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return {}
 
     def complete(self, settings: S) -> S:
-        """Return the start-up settings, completed by what only the node knows (its namespace); here unchanged."""
+        """Return the start-up settings with values filled in that only the node knows, such as its namespace.
+
+        This base class returns the settings unchanged.
+        """
         return settings
 
     def autostarts(self) -> bool:
@@ -295,7 +303,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the node's diagnostics [ns]; None, published as 0, if there is no rig time yet.
 
-        Here it is the time of the node's clock; a node that follows a rig returns rig time.
+        This base class returns the time of the node's clock. A subclass that reads a rig returns the rig's time.
         """
         return int(self.get_clock().now().nanoseconds)
 
@@ -322,9 +330,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return f"{self.state}: {remedies.get(self.state, 'activate it first')}"
 
     def create_service(self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any) -> Any:
-        """Create a service whose callback is guarded: an exception is answered as an error, logged and counted.
+        """Create a service that answers a request even if its callback raises: the exception is logged and counted.
 
-        rclpy calls this method for its own services (parameters), too, so they are guarded as well.
+        `guarded_answer` describes the answer. rclpy calls this method for its own services (parameters), too, so they
+        are guarded as well.
         """
         reason = "parameter" if "parameter" in srv_name else srv_name.removeprefix("~/")
         if srv_type is SetParameters:
@@ -531,9 +540,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return super().on_deactivate(state)
 
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop the node's work and free everything, in any state; rclpy calls this at shutdown and after an error, too.
+        """Stop the node's work and free what `configure` created, in any state; also used for shutdown and errors.
 
-        The node can be configured again unless it is finalized.
+        The node can then be configured again, unless it was shut down (finalized).
         """
         return self._transition("clean up", self._free)
 
@@ -541,7 +550,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
     on_error = on_cleanup
 
     def close(self) -> None:
-        """Stop the node's work and free everything before the process ends; works even if ROS is already shut down."""
+        """Stop the node's work and free what `configure` created, before the process ends.
+
+        It works even if ROS is already shut down.
+        """
         self._transition("clean up", self._free)
         self.get_logger().info("node ended")
 
@@ -584,7 +596,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def _guard_transitions(self) -> None:
         """Make the node answer an invalid transition request with `success = False`, and count it as rejected.
 
-        rclpy of Jazzy would raise an exception that ends the process; rclpy of Kilted answers as this does.
+        Without this, rclpy of Jazzy would raise an exception that ends the process; rclpy of Kilted answers likewise.
         """
         service = rclpy_internals.change_state_service(self)
         original = service.callback
@@ -727,7 +739,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._diagnostics.publish(array)
 
     def _judged(self) -> tuple[Level, str]:
-        """Return level and message for diagnostics: those of `health`, with the recent error that `present` names."""
+        """Return level and message for diagnostics: those of `health`, or an error of the last five seconds.
+
+        The error has level ERROR. If `health` has this level, too, both messages are returned. An error that prevented
+        `configure` lasts until the next try.
+        """
         at, message = self._last_error
         if time.monotonic() - at < ERROR_MEMORY_S:
             return worst(self.health(), (Level.ERROR, message))
@@ -735,12 +751,12 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
 
 class LateService:
-    """Service of any type whose requests may be answered later, under any executor.
+    """Service of any type that may answer a request after its callback has returned, under any executor.
 
     rclpy expects the callback to return a response. Its executors differ: the events executor accepts no coroutines,
     and the others resume them only when something else wakes them. All of them pass the returned response to
-    `Service.send_response` together with the request's header. Therefore the callback returns a marker, and the wrapped
-    `send_response` keeps the header until there is an answer.
+    `Service.send_response` together with the request's header. Therefore the callback returns a placeholder, and the
+    replaced `send_response` keeps the header until the answer is known and sent.
 
     Args:
         on_request: called with each request, the system time at which it was sent [ns], and a function that sends its

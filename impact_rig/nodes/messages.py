@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Topics of the graph with their rclpy properties: classes, qualities of service, stamps, and messages as bytes.
+"""Topics of the ROS graph in terms of rclpy: message classes, quality of service, stamps, and messages as bytes.
 
 The module adds the monitors of instruments, the blockwise analyses and the plots to the base table
 (`impact_rig.topics`).
@@ -39,7 +39,8 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.topics import Qos, Topic
 
 _STAMP_FORM = "<4siI"  # encapsulation, seconds, nanoseconds
-_MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]  # exact in both precisions, and in none of the messages here
+# a number that float32 and float64 represent exactly, and that no message here contains
+_MARK = struct.unpack("<f", b"\x13\x57\x9b\x71")[0]
 
 MONITORS = {name: instrument.monitor for name, instrument in INSTRUMENTS.items() if instrument.monitor is not None}
 """Monitor topics (readings of one instrument at a low rate), by channel name, for the instruments that have one."""
@@ -92,7 +93,7 @@ def message_class(type_name: str) -> Any:
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a new rclpy quality-of-service profile for `qos`; a `depth` that is given replaces its queue length.
+    """Return a new rclpy quality-of-service profile for `qos`; `depth`, unless None, replaces its queue length.
 
     Each call returns a new object, because rclpy writes overrides into the profile.
     """
@@ -171,7 +172,8 @@ def put(message: Any, path: str, value: object) -> None:
 def _find(message: Any, path: str) -> tuple[str, int]:
     """Return the format (`d` or `f`) and the byte offset of the number `path` in the serialised message.
 
-    It writes a mark into the field, a number that no message here contains, and searches for its bytes.
+    It writes a special number, which no message here contains, into the field and searches for its bytes. The field is
+    0 afterwards.
     """
     put(message, path, _MARK)
     marked = bytes(serialize_message(message))

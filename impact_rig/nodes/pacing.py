@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Pacing of blocks: due times on an injected clock, and a timer in phase with the blocks.
+"""Pacing of blocks of scans: due times on an injected clock, and a timer in phase with the blocks.
 
-Nothing here sleeps: the owner of the loop queries up to which rig time blocks are due, and reports each block that it
-has published. Deadlines are computed from a fixed start, so errors do not accumulate. If the rig is too far behind, as
-after a suspension of the process, the pacer gives up the lag: it sets a new start (re-bases) and counts the time given
-up.
+Rig time is the simulated time. Nothing here sleeps: the caller asks up to which rig time blocks are due, and reports
+each block that it has published. Due times are computed from a fixed start, so errors do not accumulate. If the rig is
+too far behind, as after a suspension of the process, the pacer gives up the lag: it sets a new start (re-bases) and
+counts the time given up.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _AT_ONCE_S = 1e-6
 
 @attrs.frozen
 class Lateness:
-    """Statistics of how long after its due time a block is published [ms]: median, 99th percentile and maximum."""
+    """Statistics of how long after their due time blocks are published [ms]: median, 99th percentile and maximum."""
 
     median_ms: float
     p99_ms: float
@@ -79,11 +79,11 @@ class Pacer:
             self.factor = factor
 
     def due_ns(self, produced_ns: int) -> int:
-        """Return the rig time [ns] up to which blocks are due now.
+        """Return the rig time [ns] up to which blocks of scans should be published now.
 
         Args:
             produced_ns: rig time up to which blocks have been produced. If it is behind by more than `max_lag_ns`, the
-                lag is given up and counted, and `produced_ns` itself is returned.
+                lag is given up and counted, and `produced_ns` itself is returned: nothing is due.
         """
         due = self._origin_rig_ns + int((self._clock() - self._origin_ns) * self.factor)
         if due - produced_ns > self._max_lag_ns:
@@ -113,7 +113,7 @@ class Pacer:
 
 
 class WorkTimer:
-    """Timer that calls back at the times at which blocks are due: with a period and a phase, on the monotonic clock.
+    """Timer that calls back when blocks of scans become due: with a period and a phase, on the monotonic clock.
 
     A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
     Therefore a one-shot timer, whose period sets the phase, starts the periodic one. The phase drifts if the periods of

@@ -137,6 +137,8 @@ class Parameters(Generic[S]):
     def _unchanged(self, parameter: Parameter) -> bool:
         """Return whether this request can be ignored: a read-only or text parameter would keep its value.
 
+        A value that differs only as `ros2 param load` changes it (`_as_loaded`) counts as the same.
+
         Raises:
             ConfigError: a read-only parameter would change.
         """

@@ -66,9 +66,10 @@ Spin = Callable[[float], None]  # runs callbacks for at most this long [s]
 
 @contextlib.contextmanager
 def on_graph(name: str) -> Iterator[tuple[Node, Spin]]:
-    """Create a node on the ROS domain of the environment; yield it with a function that runs its callbacks.
+    """Create a node on the ROS domain of the environment; yield the node and a function that runs its callbacks.
 
-    The function waits for callbacks, at most the given time [s]. At the end of the block, the node is destroyed.
+    Each call of the function waits for a callback to run, at most the given time [s]. The node is destroyed at the end
+    of the `with` statement.
     """
     context = Context()
     context.init(args=[])
@@ -223,8 +224,8 @@ class Player:
         silent = self._window.silent()
         if silent:
             raise ImpactRigError(
-                f"playback stopped: peer {', '.join(silent)} acknowledged no block for {PEER_TIMEOUT_S:g} s; play the "
-                "run again with peers that run"
+                f"playback stopped: peer {', '.join(silent)} acknowledged no block for {PEER_TIMEOUT_S:g} s; start "
+                "that node and play the run again, or name only peers that are running"
             )
         self._spin(longest_s)
         yield self.now_ns
@@ -244,9 +245,15 @@ class Player:
         try:
             return self._node.create_publisher(messages.message_class(topic.type_name), topic.name, profile)
         except NameValidationException as error:
-            raise RecordingError(f"{self._run.path}: {topic.name!r} is not a valid topic name") from error
+            raise RecordingError(
+                f"{self._run.path}: {topic.name!r} is not a valid ROS topic name; choose the topics to replay without "
+                "this one"
+            ) from error
         except (ImportError, AttributeError, ValueError) as error:
-            raise ImpactRigError(f"{topic.name}: the message type {topic.type_name!r} is not installed") from error
+            raise ImpactRigError(
+                f"{topic.name}: the message type {topic.type_name!r} is not installed: install the ROS package that "
+                "defines it, or choose the topics to replay without this one"
+            ) from error
 
     def _on_ack(self, message: Header) -> None:
         self._window.acknowledge(message.frame_id, messages.nanoseconds(message.stamp))

@@ -128,7 +128,10 @@ class Plots:
         self._vectors = {topic.name: _vector(topic, frame_prefix) for topic in (*ENVELOPES.values(), *_VECTORS)}
 
     def configure(self, info: Table, frame_prefix: str) -> None:
-        """Adopt the scan rate of a `daq/info` table, and the prefix of the frame names in the messages."""
+        """Adopt the scan rate of a `daq/info` table, and this prefix of the frame names in the messages.
+
+        If the rate differs from the former one, intervals and spectra in progress start again.
+        """
         if frame_prefix != self._prefix:
             self._set_prefix(frame_prefix)
         rate = float(info.rows["rate"][0]) if len(info.rows) else 0.0
@@ -150,7 +153,7 @@ class Plots:
             self._send(topics.PLOT_TRANSMISSIBILITY, table.stamp_ns, *map(float, values))
 
     def poll(self) -> bool:
-        """Check which topics computed from scans have subscribers; return whether any has, so that scans are needed."""
+        """Check which of the topics computed from scans have subscribers; return whether at least one has."""
         self._listened_to = {topic.name for topic in _FOLLOWED if self._publishers[topic.name].get_subscription_count()}
         return bool(self._listened_to)
 

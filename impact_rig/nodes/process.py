@@ -84,12 +84,12 @@ def spin(executor: Any, seconds: float) -> None:
 
 @contextlib.contextmanager
 def patient_threads() -> Iterator[None]:
-    """Start threads within the block, those of DDS, under a scheduling policy that does not preempt others (Linux).
+    """Give all threads that start within this `with` statement a policy by which they preempt no others (Linux).
 
-    Each message wakes several threads, also in its sender: receipt, heartbeats, acknowledgements. If all cores are
-    busy, they would interrupt the running callback about five times per block, which costs a quarter of the speed. The
-    calling thread has the same policy meanwhile. A process that was started with its own policy keeps it (sched(7):
-    `SCHED_BATCH` and others are inherited).
+    It is meant for the threads of DDS. Each message wakes several of them, also in its sender: receipt, heartbeats,
+    acknowledgements. If all cores are busy, they would interrupt the running callback about five times per block of
+    scans, which costs a quarter of the speed. The calling thread has the same policy (`SCHED_BATCH`) within the
+    statement. A process that was started with a policy of its own keeps that one, as threads inherit it (sched(7)).
     """
     patient = getattr(os, "SCHED_BATCH", None)
     changed = False

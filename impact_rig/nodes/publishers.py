@@ -52,7 +52,10 @@ kept until then still reach those subscribers.
 LEAST_S, LEAST_BLOCKS = 2.0, 100
 """Duration [s] and number of blocks of the scans that are kept at least, even beyond `KEPT_S` and `KEPT_BYTES`."""
 GRAPH_POLL_S = 0.1
-"""Minimum interval [s] between two checks for subscribers in real time: a check costs a twentieth of a block."""
+"""Minimum interval [s] between two checks for subscribers in real time.
+
+A check takes a twentieth of the processor time of a block of scans.
+"""
 QUEUE = 256
 """Number of messages to one process that the middleware can certainly hold.
 
@@ -99,7 +102,7 @@ class Monitors:
             self._filter = before._filter if same else self._filter
 
     def messages(self, block: Block, wanted: Callable[[topics.Topic], bool]) -> Iterator[tuple[topics.Topic, bytes]]:
-        """Yield (topic, CDR bytes) of the monitor messages that a block completes, each topic in the order of time.
+        """Yield (topic, CDR bytes) of the monitor messages that are ready after this block, in order within each topic.
 
         Readings pass a low-pass filter, so they are published four monitor periods after the time in their stamp. The
         true joint states are not filtered.
@@ -156,8 +159,8 @@ class Publishers:
         config: configuration; decides the length of the queues, and whether `/clock` is published.
 
     Attributes:
-        kept_blocks: number of blocks whose scans are kept for a slow subscriber; a subscriber that is further behind
-            loses scans.
+        kept_blocks: number of blocks of scans (messages on `daq/scan`) kept for a slow subscriber; a subscriber that
+            is further behind loses scans.
     """
 
     def __init__(self, node: ManagedNode[RigConfig], config: RigConfig) -> None:
@@ -191,9 +194,9 @@ class Publishers:
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def poll(self, often: bool) -> None:
-        """Check which topics have subscribers, as other messages are not rendered; call this before publishing.
+        """Check which topics have subscribers; call this before `block`, which skips most topics without one.
 
-        Without `often`, it has no effect within 0.1 s (`GRAPH_POLL_S`) of the last check.
+        Unless `often` is true, it has no effect within 0.1 s (`GRAPH_POLL_S`) of the last check.
         """
         now = time.monotonic()
         if now - self._polled_at < GRAPH_POLL_S and not often:
@@ -206,9 +209,9 @@ class Publishers:
     def block(self, block: Block) -> None:
         """Publish all messages of a block, its scans last: a subscriber that has the scans has the complete block.
 
-        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. Of a block whose
-        scans a fault withholds, the other messages are published. All messages are rendered before the first is sent,
-        because sending evicts the caches needed for rendering.
+        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. If an instrument
+        fault withholds the scans of a block, only its other messages are published. All messages are rendered before
+        the first is sent, because sending evicts the data needed for rendering from the processor's caches.
         """
         assert self._monitors is not None
         rendered = {
@@ -232,7 +235,7 @@ class Publishers:
         return topic.name in self._listened_to
 
     def stream(self, rig: Rig) -> None:
-        """Publish the state of the drive's sample stream (next sample needed, counters); nothing without a stream."""
+        """Publish the state of the drive's sample stream on `shaker/stream`; nothing if the drive is not a stream."""
         if rig.takes_samples:
             self._node.send_table(topics.STREAM, rig.stream_state())
 
@@ -289,27 +292,31 @@ class Publishers:
             self._node.send(topics.ROBOT_DESCRIPTION, String(data=description))
 
     def settle_history(self) -> None:
-        """Wait, at most 0.2 s per topic, until new subscribers have received earlier calibration, drive and journal."""
+        """Wait, at most 0.2 s per topic, until new subscribers have the latched calibration, drive and journal."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Make the next `configuration` publish the calibration, and the next `poll` check: a new rig starts."""
+        """Forget what was published before, because a new rig starts.
+
+        The next `configuration` publishes the calibration even if it is the same, and the next `poll` checks at once.
+        """
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
 
     def _settle(self, topic: topics.Topic) -> None:
         """Wait, at most 0.2 s, until all subscribers have received the messages of a topic; not for a rig in real time.
 
-        Messages of different topics can overtake each other. In real time the difference is milliseconds, for which a
-        measurement can wait. In the other time modes it can be many blocks, and results would depend on it.
+        Messages of different topics can overtake each other. In real time, the difference is milliseconds, for which a
+        measurement can wait, so this method returns at once. In the other time modes it can be many blocks of scans,
+        and results would depend on it.
         """
         if self._node.settings.time.mode != "realtime":
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether unacknowledged blocks can have more messages than the middleware can certainly hold."""
+    """Return whether the blocks that may be unacknowledged can have more messages than `QUEUE`; never in real time."""
     if config.time.mode == "realtime":
         return False
     blocks = config.time.ack_window

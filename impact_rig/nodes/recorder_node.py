@@ -75,7 +75,7 @@ A late subscriber receives all earlier configurations first.
 CALIBRATION = "calibration.yaml"
 LATE_NS = NS_PER_S // 2  # a message that takes this long may have been lost and sent again
 NEEDED = frozenset(topic.name for topic in TOPICS if topic.publisher == "rig" and topic.qos is not topics.Qos.LATCHED)
-"""Topics of the rig of which every message counts; if one is lost, the recorder stops acknowledging."""
+"""Topics of the rig of which every message counts; if the recorder loses one, it acknowledges no further block."""
 
 
 @attrs.frozen(kw_only=True)
@@ -85,7 +85,7 @@ class RecorderSettings:
     directory: str = text("runs", "Directory in which the directory of each run is created.")
     name: str = text(
         "",
-        "Name of the run's directory; empty means run_, date and time, and a number if that exists.",
+        "Name of the run's directory; empty means run_, date and time, and a number if that name exists.",
         pattern=f"({FILE_NAME})?",
         means=FILE_NAME_MEANS,
     )
@@ -164,7 +164,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._follow_scans()
 
     def deactivate(self) -> None:
-        """Write and acknowledge the messages that have arrived, and finish the run."""
+        """Write and acknowledge the messages that have arrived, and close the run."""
         self._take_all()
         self._acknowledgements.flush()
         self._finish()
@@ -194,7 +194,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return NodeState(words.IDLE, "messages of the last recording were lost" if lost else "")
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message of diagnostics: whether the node records, and a problem with the recording."""
+        """Return level and message of diagnostics: the worst problem of the recording, or whether the node records."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
@@ -227,7 +227,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return values
 
     def _mixed(self) -> str:
-        """Return which topics of this run several nodes have published although only one may; empty if none."""
+        """Return which nodes have published the same topic of this run although only one may; empty if none have."""
         found = {topic: self._account.writers(name) for name, topic in self._added.items() if topic in ONE_WRITER}
         return "; ".join(f"{' and '.join(names)} publish {topic}" for topic, names in found.items() if len(names) > 1)
 
@@ -248,7 +248,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _answer_start(self) -> None:
-        """Answer waiting ~/start requests once the run is open and has the latched messages, or once it has failed."""
+        """Answer waiting ~/start requests if the run is open and has the awaited messages, or if it has failed."""
         if self._writer is not None and not self._awaited:
             self._answer(True, str(self._writer.directory))
         elif self._failure:
@@ -269,10 +269,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         done(not self._failure, self._failure or stopped)
 
     def _start(self, patiently: bool = False) -> None:
-        """Open the run once the configuration of the rig has arrived, which is written at its beginning.
+        """Request a run, which is opened once the configuration of the rig has arrived: a run begins with it.
 
-        Without `patiently`, the run is opened without a configuration after `configuration_wait_s`. With it, that time
-        counts only from when a rig publishes scans, however late it starts.
+        If none arrives within `configuration_wait_s`, the run is opened without. This time counts from now, or, if
+        `patiently`, from when a rig publishes scans, however late that is.
         """
         self._failure = ""
         self._waiting = True
@@ -307,7 +307,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self.until_deactivated(self._scans)
 
     def _listen(self, topic: topics.Topic) -> Any:
-        """Subscribe to a topic for recording, with a queue so long that no message of a burst displaces another."""
+        """Subscribe to a topic for recording, with a queue long enough that no message of a burst is displaced."""
         depth = None if topic in topics.BULKY else topics.HISTORY_DEPTH
         return self.subscribe(topic, functools.partial(self._on_message, topic), raw=True, depth=depth)
 
@@ -341,7 +341,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         )
 
     def _finish(self) -> None:
-        """Write all messages that have arrived, and close the run; a run not opened yet is cancelled."""
+        """Close the run, with all messages processed so far, or cancel a run that is requested and not open yet."""
         self._waiting = False
         writer = self._leave_run()
         self._answer(False, "the recording was stopped before it had fully started")
@@ -367,7 +367,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             writer.finish()
 
     def _leave_run(self) -> RunWriter | None:
-        """End the subscriptions of the current run; return its writer, which the caller must finish, or None."""
+        """End the subscriptions of the current run; return its writer, which the caller must close.
+
+        It returns None if no run is open.
+        """
         self._awaited = set()
         for subscription in self._recorded:
             self.destroy_subscription(subscription)
@@ -399,7 +402,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
-            self.get_logger().warning(f"no message on {names} in the first {AWAIT_S:g} s: the recording begins without")
+            self.get_logger().warning(f"no message on {names} in the first {AWAIT_S:g} s: recording continues without")
             self._awaited = set()
         if self._writer is not None:
             try:
@@ -409,11 +412,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _on_message(self, topic: topics.Topic, data: bytes, info: dict[str, Any]) -> None:
-        """Queue a received message if it comes from a rig in real time; otherwise process it at once.
+        """Queue a received message during a run of a rig in real time; otherwise process it at once.
 
-        A timer processes the queued blocks together and then acknowledges them. Their common data then stays in the
-        processor's caches, which halves the cost. An event that may change how queued messages are processed first
-        processes all of them.
+        A timer processes the queued messages together and then acknowledges their blocks. Code and data then stay in
+        the processor's caches, which halves the cost. What may change how messages are processed (a new configuration,
+        the end of the run) first processes all that are queued.
         """
         self._inbox.append((topic, data, info))
         if self._writer is None or not self._acknowledgements.is_timed:
@@ -484,10 +487,13 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _secured(self) -> bool:
         """Write the received data to the file, so they survive this process; return whether they may be acknowledged.
 
-        The rig publishes the scans of a block last, and middleware and executor keep the order, so the rest of the
-        block has arrived. The exceptions are messages that the middleware lost and sends again, because this process
-        was suspended or too slow. In real time, nothing is acknowledged until all of these must have arrived. In the
-        other time modes, the rig never sends more than the middleware can hold.
+        The rig publishes the scans of a block last, and middleware and executor keep the order, so the other messages
+        of the block have arrived before. The exceptions are messages that the middleware lost and sends again, because
+        this process was suspended or too slow. In real time, nothing is acknowledged until all of these must have
+        arrived. In the other time modes, the rig never sends more than the middleware can hold.
+
+        Returns:
+            False also if the run has failed or lacks a message of the rig that never arrived.
         """
         if self._writer is not None:
             try:
@@ -499,9 +505,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return not self._failure and not may_lack
 
     def _lost(self) -> dict[str, int]:
-        """Return how many messages of this run never arrived, by full topic name.
+        """Return how many messages of this run were sent and never arrived, by full topic name.
 
-        Topics of which only the newest message matters are left out.
+        Topics of which only the newest message matters (`REPLACED`) are left out.
         """
         return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 

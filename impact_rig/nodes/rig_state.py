@@ -41,7 +41,7 @@ At 100 blocks per second, the queue of a reader holds ten times as much.
 CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
 _WITHOUT = {"ramp": "the drive ramps to zero", "hold": "the last one is held", "trip": "the drive ramps to zero"}
 """Behaviour of the shaker while samples of its drive are missing, by `drive.on_underrun`."""
-MOST = 5  # maximum number of faults logged in one update; of further faults, only the number is logged
+MOST = 5  # maximum number of started, and of ended faults logged in one update; of the others, only the number is
 
 
 @attrs.frozen
@@ -67,7 +67,7 @@ class RigState:
         self._lost: dict[str, int] = {}  # by subscriber, the largest number of blocks beyond what is kept for it
 
     def word(self) -> NodeState:
-        """Return the state of the rig: what blocks it, what stops its shaker, or whether the shaker is driven."""
+        """Return the state of the rig, with its reason: the most severe `states.RigWord` that applies now."""
         session = self._session
         reason_not_ready = session.reason_not_ready()
         if reason_not_ready is not None:
@@ -82,9 +82,9 @@ class RigState:
         return NodeState(states.RigWord.DRIVING if session.rig.is_driven else states.RigWord.AT_REST, without)
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message for diagnostics: the most severe problems, or why the rig has not started.
+        """Return level and message for diagnostics: the problems of the most severe level, or why no rig has started.
 
-        Without a problem the level is OK, and the message names the time mode.
+        Without a warning or error the level is OK, and the message begins with the time mode.
         """
         reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
         if reason_not_ready is not None:
@@ -173,7 +173,8 @@ class RigState:
             latched = f"shaker latched by {rig.latched}: it stays stopped until ~/clear_trip"
             yield Problem(Level.ERROR, latched, NodeState(words.TRIPPED, rig.latched))
         if session.paused:
-            yield Problem(Level.WARN, "paused by ~/pause", NodeState(words.PAUSED, "~/pause"))
+            paused = "paused: rig time stands still until ~/pause is called with false"
+            yield Problem(Level.WARN, paused, NodeState(words.PAUSED, "~/pause"))
         if session.is_lockstep and session.is_idle:
             yield Problem(Level.OK, "", NodeState(words.PAUSED, "no step is requested"))
         without = missing if realtime else ", ".join(session.window.waived())
@@ -182,8 +183,8 @@ class RigState:
         if rig.takes_samples:
             who = session.controllers()
             if len(who) > 1:
-                several = f"{' and '.join(who)} all send samples on {topics.WAVEFORM.name}"
-                yield Problem(Level.WARN, f"{several}: the last one received counts")
+                several = f"{' and '.join(who)} all send samples of the drive on {topics.WAVEFORM.name}"
+                yield Problem(Level.WARN, f"{several}: the last one received for a time counts; end all but one")
             if rig.stream.state is StreamState.MISSING:
                 whose = f"samples of {' and '.join(who)}" if who else "samples of the drive, which no node publishes,"
                 yield Problem(Level.WARN, f"{whose} did not arrive in time: {_WITHOUT[rig.config.drive.on_underrun]}")
@@ -201,7 +202,7 @@ class RigState:
             moved = f"the system clock was set by {self._clock_step_s():+.3f} s; the rig's stamps ignore this"
             yield Problem(Level.WARN, moved)
         if rig.plucked:
-            yield Problem(Level.OK, "base locked after a pluck", NodeState(words.PLUCKED))
+            yield Problem(Level.OK, "base locked after a pluck until ~/reset", NodeState(words.PLUCKED))
         if session.counts.faults:
             yield Problem(Level.OK, f"instrument faults active: {', '.join(session.counts.faults.values())}")
 
@@ -210,7 +211,8 @@ class RigState:
     def log_changes(self) -> None:
         """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers.
 
-        The rig also stops waiting for acknowledgements of a reader that is gone or was restarted.
+        It also corrects what the rig waits for. A peer that was restarted need not acknowledge the blocks published
+        before, and a reader that no longer subscribes is forgotten.
         """
         session = self._session
         rig, window = session.rig, session.window
@@ -272,7 +274,7 @@ class RigState:
 
 
 def summary(config: RigConfig) -> str:
-    """Return one line about what determines the data of a rig: time mode, scan rate, gap, contact law and seed."""
+    """Return one line about a rig for its log: time mode, scan rate, gap and contact law (or `no sphere`), and seed."""
     factor = f" x {config.time.factor:g}" if config.time.mode == "realtime" else ""
     gap = f"gap {1e3 * config.barriers.gap_m:g} mm, contact law {config.contact.law}"
     sphere = gap if config.sphere.present else "no sphere"

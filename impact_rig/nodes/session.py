@@ -13,13 +13,13 @@
 # limitations under the License.
 """ROS session of one rig: start-up checks, command input, time stepping, publishing and flow control.
 
-The session asks `Rig` for the blocks that are due, and publishes them. In the time mode `realtime`, the clock decides
-which blocks are due; otherwise the acknowledgements of the slowest peer do. In lockstep or while paused, only requested
-steps are due.
+The session asks `Rig` for the blocks that are due, and publishes them. A block is a short piece of the rig's output: 10
+ms by default. In the time mode `realtime`, the clock decides which blocks are due; otherwise the acknowledgements of
+the slowest peer do. In lockstep or while paused, only requested steps are due.
 
-A namespace of a ROS domain belongs to one rig at a time. If an announcement is missed, the ROS graph shows another rig
-only after seconds. A lock file shows it at once, but only on this machine. If discovery is limited to this machine, the
-lock suffices, and the rig starts without waiting.
+A namespace of a ROS domain belongs to one rig at a time. The ROS graph shows another rig only after seconds if the
+announcement of that rig is missed. A lock file shows it at once, but only on this machine. If discovery is limited to
+this machine, the lock suffices, and the rig starts without waiting.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system import files
 
 OBEDIENT = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_cyclonedds_cpp")
-"""Names of the middleware that obeys `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
+"""Names of the ROS middleware that obeys the environment variable `ROS_AUTOMATIC_DISCOVERY_RANGE`."""
 GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers of a rig's topics
 
 
@@ -88,7 +88,8 @@ class NamespaceLock:
         """Try to acquire the lock; return False if another rig holds it.
 
         Returns:
-            True also if the lock does not decide, because only the ROS graph can show other rigs.
+            True if this rig holds the lock, and also if `decides` is False: then only the ROS graph can show other
+            rigs.
         """
         if self._held is None and self.decides:
             self._held = files.hold(files.PLACES, self._name)
@@ -196,7 +197,7 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one block of the rig with its impacts and faults, whether it was published or lost by a fault."""
+        """Count one block of the rig, with its impacts and faults; a block whose scans a fault withheld counts, too."""
         self.blocks += 1
         self.lost_blocks += block.lost
         if block.impacts is not None:
@@ -223,7 +224,10 @@ class Counts:
         return self._over_range
 
     def block_rate_hz(self) -> float:
-        """Return the blocks per second of wall time, averaged over about two seconds if it is called often."""
+        """Return the number of blocks per second of wall time, averaged over at least the last two seconds.
+
+        The average begins at a former call, so it covers more time if this method is called less often.
+        """
         now = time.monotonic()
         self._rates.append((now, self.blocks))
         while len(self._rates) > 2 and now - self._rates[1][0] > RATE_WINDOW_S:
@@ -233,9 +237,10 @@ class Counts:
 
 
 class Session:
-    """Rig of a node, from its start until the node is deactivated: commands, services, publishing and pace.
+    """Operation of a node's rig, from its start until the node is deactivated: commands, services, publishing and pace.
 
-    The rig starts when the node is active and no other rig is in its namespace.
+    The rig starts when the node is active and no other rig is in its namespace. The session exists as long as the node;
+    each activation starts a new rig.
     """
 
     publishers: Publishers  # exists from when the node is configured
@@ -298,14 +303,14 @@ class Session:
 
     @property
     def is_idle(self) -> bool:
-        """Return whether all requested steps are complete, and none has been requested for a second."""
+        """Return whether all blocks of the requested steps are published, and no step was requested for a second."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
     @property
     def is_starving(self) -> bool:
         """Return whether the rig has waited for samples of its drive for longer than `time.peer_timeout_s`.
 
-        A rig in real time never waits for them.
+        A rig in real time never waits for samples.
         """
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
@@ -316,11 +321,13 @@ class Session:
         return sorted({info.node_name for info in found})
 
     def lack_of_samples(self) -> str:
-        """Return why a rig lacks samples of its drive, for messages: the node that sends none, if there is one."""
+        """Return why the rig lacks samples of its drive, as text for messages.
+
+        It names the nodes that could send samples but send none, or says that there is no such node.
+        """
         names, topic = self.controllers(), topics.WAVEFORM.name
-        return (
-            f"{' and '.join(names)} sends no samples on {topic}" if names else f"no node publishes samples on {topic}"
-        )
+        source = f"no samples arrive from {' and '.join(names)}" if names else "no node publishes samples"
+        return f"{source} on {topic}"
 
     # Start and end
 
@@ -348,11 +355,11 @@ class Session:
             self.publishers.announce(self.node.settings)
 
     def reason_not_ready(self) -> NodeState | None:
-        """Return the state that keeps an active rig from starting, with its reason.
+        """Return the state that keeps the rig of an active node from starting, with its reason.
 
-        It is None if nothing does, if the rig has started, or if the node is not active. A rig that finds another one
-        on its topics waits until that one is gone: two rigs in one namespace would both obey the same commands and
-        publish into the same recording. The earlier rig continues.
+        It is None if nothing prevents the start, if the rig has started, or if the node is not active. While another
+        rig publishes the same topics, this rig waits: two rigs in one namespace would obey the same commands and
+        publish into the same recording. The rig that started first continues.
         """
         if not self._active or self.rig is not None:
             return None
@@ -377,7 +384,10 @@ class Session:
         self.absent = ", ".join(self.readers.missing()) if self.is_realtime else ""
         for subscription in self._commands:  # sent to no rig, or to the previous one
             for _message in take_messages(subscription):
-                self.node.refuse("inactive", f"{subscription.topic_name}: sent before this rig started")
+                self.node.refuse(
+                    "inactive",
+                    f"{subscription.topic_name}: the command was sent before this rig started: send it again",
+                )
         self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
         start_ns = time.time_ns() if self.is_realtime else 0
         self.pacer = Pacer(time.monotonic_ns, timing.factor)
@@ -396,7 +406,10 @@ class Session:
         self._start_timer(config)
 
     def deactivate(self) -> None:
-        """End the rig, drop unpublished data, and reject waiting requests; the next rig inherits a latched shaker."""
+        """End the rig, drop unpublished data, and answer waiting requests with an error.
+
+        If the shaker is latched, that of the next rig is latched from its start.
+        """
         self._timer.stop()
         if self.rig is not None:
             self._latched = self.rig.latched
@@ -418,7 +431,7 @@ class Session:
         return self.rig
 
     def why_not(self) -> str:
-        """Return the reason why no rig has started, and what to do, as text for an error message."""
+        """Return why no rig has started and, where the user can act, what to do, as text for an error message."""
         reason_not_ready = self.reason_not_ready()
         if reason_not_ready is not None:
             return f"the rig has not started: {reason_not_ready.reason}"
@@ -448,9 +461,10 @@ class Session:
             self._timer.keep_in_step(self._wait_s())
 
     def work(self) -> None:
-        """Start the rig if nothing prevents it; publish the blocks that are due, for at most about 20 ms per call.
+        """Start the rig if it has not started and nothing prevents it; otherwise publish the blocks that are due.
 
-        If the simulation fails, the node is deactivated, because the rig cannot continue.
+        A call ends after about 20 ms even if more blocks are due; the next call continues. If the simulation fails, the
+        node is deactivated, because the rig cannot continue.
         """
         now = self._notice_absence()
         try:
@@ -470,7 +484,8 @@ class Session:
     def _notice_absence(self) -> float:
         """Detect whether this process was suspended since the last call; return the present monotonic time [s].
 
-        After a suspension, the timeouts of the peers start again, and `refuse_backlog` rejects commands sent before.
+        It counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then start
+        again. After more than `EXPIRES_S` in which it was idle, `refuse_backlog` also rejects the commands sent before.
         """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
@@ -489,7 +504,7 @@ class Session:
         return now
 
     def refuse_backlog(self, sent_ns: int) -> None:
-        """Reject a command that was sent before this process resumed from a suspension: its sender has given up by now.
+        """Raise if a command was sent before this process resumed from a suspension: its sender has given up by now.
 
         Args:
             sent_ns: time at which the command was sent, by the system clock of its sender [ns].
@@ -512,9 +527,9 @@ class Session:
             )
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:
-        """Simulate and publish the blocks that are due by the clock, until `deadline` [s, monotonic].
+        """Simulate and publish the blocks that are due in real time, until `deadline` [s of the monotonic clock].
 
-        Blocks that are left are published by the next call.
+        If blocks remain, the next call publishes them.
         """
         due_ns = self.pacer.due_ns(self._simulated_ns(rig))
         while True:
@@ -526,16 +541,17 @@ class Session:
     def _simulated_ns(self, rig: Rig) -> int:
         """Return the rig time up to which the rig is simulated [ns], for the pacer.
 
-        A part of a block counts, because a block may be longer than the lag that the pacer accepts. The last tick does
-        not count, because more of it may be simulated than was due.
+        The simulated part of an unfinished block counts, because a block may be longer than the lag that the pacer
+        accepts. The last 10 ms (`COMMAND_GRID_NS`) of that part do not, because they may be simulated ahead of time.
         """
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS)
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
-        """Publish as many blocks as peers and requested steps allow, until `deadline` [s]; not for real time.
+        """Publish as many blocks as peers and requested steps allow, until `deadline` [s of the monotonic clock].
 
-        Requested steps are answered once all their blocks are acknowledged, and rejected if a peer or a controller is
-        silent.
+        It serves all rigs except those that run in real time. Requests for steps are answered once the peers have
+        acknowledged all blocks of the steps, or with an error if a peer or the controller (the node that sends samples
+        of the drive) is silent.
         """
         daq, window = self.node.settings.daq, self.window
         by_steps = self.paused or self.is_lockstep
@@ -570,7 +586,11 @@ class Session:
             _answer(self._stepping, True, f"rig time {rig.next_block_ns / NS_PER_S:.9f} s")
 
     def _advance(self, rig: Rig, until_ns: int) -> int:
-        """Simulate up to the rig time `until_ns`, publish changes and then the blocks; return the number of blocks."""
+        """Simulate up to the rig time `until_ns`; publish changes of the rig, and then the blocks completed.
+
+        Returns:
+            Number of blocks completed.
+        """
         blocks = rig.advance(until_ns)
         if self.publishers.changes(rig):
             self.node.report_change()  # for example, after a trip
@@ -593,9 +613,10 @@ class Session:
     # Steps and pauses
 
     def step(self, steps: int, done: Done) -> None:
-        """Request this many steps of `step.blocks` blocks each, and advance the rig as far as possible now.
+        """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
-        `done` is called when every peer has acknowledged the last block, or with an error if that fails.
+        `done` is called with success when every peer has acknowledged all blocks of the steps, or with an error if a
+        peer or the drive's samples fail to arrive, or if the rig is reset, resumed or deactivated meanwhile.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
@@ -604,9 +625,9 @@ class Session:
         self.work()
 
     def pause(self, done: Done) -> None:
-        """Stop rig time at once; `done` is called when the peers have processed all published blocks.
+        """Stop rig time at once; call `done` with success when the peers have acknowledged all published blocks.
 
-        It is also called when one of them is silent, which would never process them.
+        `done` is also called with success if a peer is silent, as that peer may never acknowledge them.
 
         Raises:
             CommandError: no rig has started.
@@ -618,10 +639,10 @@ class Session:
         self.node.report_change()
 
     def resume(self, done: Done) -> None:
-        """Let rig time continue after a pause, or while it waits for a silent peer or samples; answer by `done`.
+        """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
 
-        The rig no longer waits for peers that are silent, nor for a controller that sends no samples. A rig that runs
-        is not affected.
+        The rig does not wait for peers that are silent now until they acknowledge again, nor for the samples that a
+        silent controller has not sent. A rig that is not paused and waits for neither is not affected.
 
         Raises:
             CommandError: no rig has started.
@@ -647,7 +668,7 @@ class Session:
         _answer(self._stepping, False, message)
 
     def _refuse_without_peers(self) -> None:
-        """Reject waiting step requests if a peer has not subscribed for longer than `time.peer_timeout_s`."""
+        """Answer waiting step requests with an error if a peer has not subscribed within `time.peer_timeout_s`."""
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):
@@ -665,7 +686,7 @@ class Session:
     # Other inputs
 
     def reset(self, rig: Rig) -> None:
-        """Start the rig again from scan 0 with continuing stamps, and publish that; waiting steps are rejected.
+        """Start the rig again at scan 0, with stamps that continue; waiting step requests are answered with an error.
 
         Raises:
             CommandError: the shaker is latched; nothing is changed.
@@ -720,12 +741,12 @@ class Session:
             self.work()
 
     def _note_samples(self, rig: Rig) -> None:
-        """Register, also while paused, that the rig does not lack samples: some have arrived, or none is needed."""
+        """End the wait for samples of the drive (`is_starving`) if the rig has all samples for its next block."""
         if self._starved_at is not None and rig.blocks_with_samples(1):
             self._starved_at = None
 
     def _on_ack(self, data: bytes) -> None:
-        """Process an acknowledgement of any reader, in any time mode; that of a peer may make further blocks due."""
+        """Process an acknowledgement (`daq/ack`) of any reader; that of a peer may allow further blocks at once."""
         if not self._active:
             return
         try:
@@ -782,7 +803,7 @@ class Session:
 
 
 def _answer(waiting: list[Done], success: bool, message: str) -> None:
-    """Answer all waiting requests alike.
+    """Answer all waiting requests with the same result, and empty the list.
 
     The list is emptied before the first answer, because an answer may trigger new requests.
     """

@@ -85,7 +85,7 @@ class StandardServices:
         return serve
 
     def _done(self, tell: Tell, failed: int) -> Done:
-        """Return a function that answers a request once a pause or step ends; `failed` is the code of a failure."""
+        """Return a function of (success, message) that answers a request with RESULT_OK or with the code `failed`."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
     def _state(self) -> int:

@@ -101,7 +101,8 @@ def test_a_pause_stops_rig_time(client: Client) -> None:
     client.wait_active("rig")
     scans = client.collect("daq/scan", acknowledge=True)
     client.pause(True)
-    client.wait_until(lambda: client.status("rig").message == "paused by ~/pause", "the diagnostic")
+    expected = "paused: rig time stands still until ~/pause is called with false"
+    client.wait_until(lambda: client.status("rig").message == expected, "the diagnostic")
     before = len(scans)
     client.command(current_a=0.1)  # takes several turns of the executor
     assert len(scans) == before
