@@ -21,8 +21,8 @@ Three columns precede those of the table; the rows of every topic have them:
 | `timestamp` | the same time as a date, to the nanosecond: rig time, which counts from 1970 as ROS time does |
 | `earlier` | 1 if the message was published before the recording began: a latched topic delivers it to a new recorder |
 
-If a table has a column `time`, seconds since the stamp of its message, each row has its own time. The rows of other
-tables have the stamp.
+If a table has a column `time`, which counts seconds from the stamp of its message, each row has its own time. In other
+tables, the time of every row is the stamp of its message.
 """
 
 from __future__ import annotations
@@ -43,16 +43,19 @@ if TYPE_CHECKING:
     from impact_rig.recording.reader import Message, Run
 
 TIME, TIMESTAMP, EARLIER = "time", "timestamp", "earlier"
-BATCH_BYTES = 4 * 2**20  # a text needs four times as much memory when decoded, a number when written
+# size of the rows at which a batch is yielded: text decoded to str, and a number written as text, need four times that
+BATCH_BYTES = 4 * 2**20
 
 Columns = dict[str, NDArray[np.generic]]
 
 
 def batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns of a table topic in batches of many messages, with text as str; without rows, one empty batch.
+    """Yield the columns of a table topic in batches of about 4 MiB, with text as str, and the three leading columns.
+
+    If the messages of the topic have no rows, there is one batch of empty columns.
 
     Raises:
-        RecordingError: the topic carries no tables, holds no message or changes its columns.
+        RecordingError: the topic carries no tables, has no message, or has tables with different columns.
     """
     dtype: np.dtype[np.void] | None = None
     tables: list[Table] = []
@@ -107,7 +110,7 @@ def to_xarray(run: Run, topic: str) -> Any:
 
 
 def first_scan_ns(run: Run, topic: str) -> int | None:
-    """Return the stamp of the first recorded scan of the rig to which a topic belongs [ns]; None without scans."""
+    """Return the stamp of the first recorded scan of the rig to which a topic belongs [ns]; None if there is none."""
     name = run.resolve(topic)
     prefix = max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
     scans = prefix + topics.SCAN.name
@@ -119,7 +122,7 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
 def is_earlier(run: Run, message: Message) -> bool:
     """Return whether a message was published before its recording began, as latched messages can be.
 
-    It is False if the publish times of the recording are unknown.
+    It is False if the publish time of the message or the start of the recording is unknown.
     """
     text = run.provenance.get("wall_start_ns", "")
     if message.publish_time == message.log_time:
@@ -132,9 +135,10 @@ def leading(
 ) -> Columns:
     """Return the columns `time`, `timestamp` and `earlier` of rows, shape (n,) each.
 
-    `stamps` are the stamps of the messages of the rows [ns], `since` the times of the rows after them [s], `earlier`
-    the column of this name. `time` counts from `origin_ns`, or from the first stamp if that is None. `timestamp` is NaT
-    where `since` is not finite or larger than any duration of a rig.
+    Each row has an entry in the first three arguments: `stamps` is the stamp of its message [ns], `since` the time of
+    the row after that stamp [s], and `earlier` whether its message was published before the recording began. `time`
+    counts from `origin_ns`, or from the first stamp if that is None. `timestamp` is NaT where `since` is not finite, or
+    longer than a rig can run (`LONGEST_S`).
     """
     known = np.abs(since) <= LONGEST_S
     own = stamps + np.round(np.where(known, since, 0.0) * NS_PER_S).astype(np.int64)
@@ -147,7 +151,11 @@ def leading(
 
 
 def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
-    """Return the columns of the rows of some tables of equal type; `time` counts from `origin_ns`."""
+    """Return the columns of the rows of tables with equal columns; `time` counts from `origin_ns`.
+
+    A column of the tables with the name of a leading column becomes `<name>_of_table`, except a numeric `time`, which
+    is part of the leading `time`.
+    """
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]
     stamps = np.repeat(np.array([table.stamp_ns for table in tables], np.int64), counts)
@@ -164,9 +172,10 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 
 
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
-    """Return unit and description of the columns of a topic, by name, as far as known.
+    """Return unit (`units`) and description (`long_name`) of the columns of a topic, by column name, as far as known.
 
-    They come from the interface of the rig; the units of channels are those of the recorded `daq/info`.
+    They come from `impact_rig.topics`. The channels of `daq/scan` have the units in the recorded `daq/info` instead,
+    and no description.
     """
     relative = run.relative(run.resolve(topic))
     known = next((one for one in topics.COMMON if one.name == relative), None)

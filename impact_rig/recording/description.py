@@ -17,12 +17,13 @@ A `ros2msg` schema is the `.msg` text of the type, followed by each type it uses
 line of 80 `=` and `MSG: package/Type`. The texts are those of the installed interfaces. Without ROS 2 they are the
 generated `definitions.json` of this package, so that a run can be written and imported without ROS.
 
-Metadata of version 9 has twelve keys under `rosbag2_bagfile_information`. QoS profiles are native YAML with policies as
-words, an empty `custom_data` is null, and compression fields are empty because MCAP compresses its own chunks. Source:
-rosbag2 0.26, `rosbag2_storage/yaml.hpp`, `qos.cpp` and `rosbag2_cpp/writers/sequential_writer.cpp`.
+A `metadata.yaml` of version 9 has twelve keys under `rosbag2_bagfile_information`. QoS profiles are native YAML with
+policies as words, an empty `custom_data` is null, and compression fields are empty because MCAP compresses its own
+chunks. Source: rosbag2 0.26, `rosbag2_storage/yaml.hpp`, `qos.cpp` and `rosbag2_cpp/writers/sequential_writer.cpp`.
 
 The metadata record `impact_rig` holds the provenance of a run. MCAP protects chunks and attachments with a CRC, but not
-metadata records: those of this package carry their own in the key `crc32`, so that a flipped bit in a seed is detected.
+metadata records. Those of this package therefore carry a CRC of their own under the key `crc32`, so that a flipped bit,
+for example in the seed, is detected.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ from impact_rig.system import budget, files
 INFINITE_NS = 2**63 - 1  # an infinite duration in ROS (RMW_DURATION_INFINITE: 9223372036 s 854775807 ns)
 
 SERIALIZATION = "cdr"
-_SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # encodings of a schema, by whether it is one of ROS
+_SCHEMA_CODEC = {True: ("utf-8", "replace"), False: ("latin-1",)}  # text encoding of a schema; True: it is `ros2msg`
 ENCODING = "ros2msg"
 
 MAX_QOS_CHARACTERS = 65_536
@@ -62,7 +63,8 @@ QosYaml = dict[str, str | int | bool | dict[str, int]]
 class OfferedQos:
     """Quality of service offered by one publisher; policies as rosbag2 spells them: `policy.name.lower()` of rclpy.
 
-    Fast DDS does not provide history and depth of a remote publisher; rosbag2, too, records `unknown` and 0.
+    Fast DDS does not provide history and depth of a remote publisher. They then have their default values, `unknown`
+    and 0, as in files of rosbag2.
     """
 
     history: str = "unknown"
@@ -117,7 +119,7 @@ class TopicDescription:
 
     @classmethod
     def from_channel(cls, channel: Channel, schema: Schema | None) -> TopicDescription:
-        """Return the description of a topic from its MCAP channel and schema; without schema, its type has no name."""
+        """Return the description of a topic from its MCAP channel and schema; `type_name` is empty without a schema."""
         schema_encoding = ENCODING if schema is None else schema.encoding
         return cls(
             name=channel.topic,
@@ -136,7 +138,7 @@ class TopicDescription:
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the QoS profiles in an untrusted YAML text, with their known policies only; empty for any other text."""
+    """Return the QoS profiles in an untrusted YAML list, with their known policies only; empty if it is not a list."""
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
@@ -156,7 +158,7 @@ def _profile(found: Mapping[object, object]) -> QosYaml:
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML dumper with block style, without anchors, and with `~` for null, as in yaml-cpp."""
+    """YAML dumper that writes as yaml-cpp does: repeated values in full, without anchors, and `~` for null."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002  (signature of yaml.SafeDumper)
         return True
@@ -238,7 +240,10 @@ def _bundled() -> dict[str, str]:
 
 
 def starts_with_header(type_name: str, schema: str) -> bool:
-    """Return whether messages of this type begin with a `std_msgs/Header`, or are headers."""
+    """Return whether messages of a type with this `.msg` text begin with a `std_msgs/Header`, or are headers.
+
+    It is False if the name is not that of a ROS message type.
+    """
     if _NAME.fullmatch(type_name) is None:  # not a type of ROS, or no schema
         return False
     if _short_name(type_name) == "std_msgs/Header":
@@ -250,14 +255,15 @@ def starts_with_header(type_name: str, schema: str) -> bool:
 def members(schema: str) -> list[tuple[str, str, int]]:
     """Return path (`header.stamp.sec`), primitive type and count of each member of a message type, in order.
 
-    The count is 1 for a single value, n for an array of n, and -1 for a sequence, with or without a bound.
+    The count is 1 for a single value, n for an array of n values, and -1 for a sequence (variable length), with or
+    without an upper bound.
 
     Args:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text, an array contains messages, or a member lies too deep or
-            behind too many others.
+        RecordingError: a type is not defined in the text, a member is an array or sequence of messages, is nested more
+            than 8 types deep, or follows more than 200 others.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {
@@ -322,9 +328,9 @@ Information = dict[str, object]
 
 @attrs.define
 class Extent:
-    """Extent of some messages, such as those of a file or topic: number, and earliest and latest log time [ns]."""
+    """Extent of the messages of a file or topic: their number, and their earliest and latest log time [ns]."""
 
-    name: str = ""
+    name: str = ""  # name of the file
     count: int = 0
     start_ns: int = INFINITE_NS
     end_ns: int = 0
@@ -348,8 +354,8 @@ def bag_information(
 
     Args:
         topics: topics, each with its number of messages.
-        spans: spans of the files, in the order of writing; at least one.
-        ros_distro: name of the distribution, such as `jazzy`.
+        spans: extents of the MCAP files, in the order of writing; at least one.
+        ros_distro: name of the ROS distribution, such as `jazzy`.
     """
     start_ns, end_ns = min(span.start_ns for span in spans), max(span.end_ns for span in spans)
     total = Extent("", sum(span.count for span in spans), start_ns, end_ns)
@@ -390,7 +396,7 @@ def bag_information(
 
 
 def bag_record(info: Information) -> dict[str, str]:
-    """Return the content of the metadata record `rosbag2` of an MCAP file: that of `metadata.yaml` as one text."""
+    """Return the content of the metadata record `rosbag2` of an MCAP file: `info`, as YAML under one key."""
     return {BAG_RECORD_KEY: dump_yaml(info)}
 
 
@@ -407,7 +413,10 @@ def write_metadata(directory: Path, info: Information) -> None:
 
 RECORD_NAME = "impact_rig"  # metadata record with the package version, the seed and the wall-clock start
 TOPIC_RECORD_NAME = "impact_rig/topic"
-"""Metadata record that repeats a channel and its schema outside the chunks: losing a chunk does not affect others."""
+"""Name of the metadata record that repeats a channel and its schema outside the chunks.
+
+With it, the other chunks stay readable after the loss of the chunk that defines the channel.
+"""
 CONFIGURATION = "config.yaml"  # attachment with the resolved configuration
 
 MODE_KEY = "mode"
@@ -441,7 +450,10 @@ class Provenance:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> Provenance | None:
-        """Return the provenance in the content of a metadata record `impact_rig`; None if a part is missing or bad."""
+        """Return the provenance in the content of a metadata record `impact_rig`.
+
+        None means that version, seed or start time is missing, or a number is not an integer.
+        """
         extra = dict(record)
         try:
             version, seed, start = extra.pop("version"), int(extra.pop("seed")), int(extra.pop("wall_start_ns"))
@@ -454,8 +466,8 @@ class Provenance:
 def arithmetic_of(record: Mapping[str, str]) -> str:
     """Return the version of the arithmetic from the provenance record of a run: `1` if the record does not state it.
 
-    It is empty for files of other recorders, which have no such record.
-    Only the same version reproduces the samples bit for bit.
+    The text is empty for an empty record: files of other recorders have no provenance. Only a program with the same
+    version of the arithmetic reproduces the samples bit for bit.
     """
     return record.get(ARITHMETIC_KEY, UNWRITTEN_ARITHMETIC) if record else ""
 

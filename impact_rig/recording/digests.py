@@ -16,7 +16,7 @@
 A program that changes a recording renews the checksums of MCAP when it writes the file, so the checksums show only
 damage. The digests show every change of a definition, a message, its order, times and number, an attachment or a
 metadata record. They do not depend on how messages are packed into chunks. They do not prove who wrote them: a program
-may renew them.
+that changes a recording can also compute and write new digests.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from collections.abc import Iterator, Mapping
 from mcap.records import Attachment, Channel, Schema
 
 RECORD_NAME = "impact_rig/digests"
-"""Name of the metadata record with the digests: the last one of a file, which no digest covers."""
+"""Name of the metadata record with the digests. It is the last metadata record of a file, and no digest covers it."""
 _TOPIC = "topic "  # prefix of a topic's name in a key of the record
 _MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, length
 
 
 class Digests:
-    """Digests of the parts of one file: of each topic, the attachments and the metadata.
+    """Digests of the parts of one file: one for each topic, one for all attachments and one for all metadata records.
 
-    A writer adds each part that it writes, a checker each part that it reads; equal parts give equal digests.
+    The writer of a file adds everything that it writes. A program that checks the file adds everything that it reads,
+    and compares: equal content in equal order gives equal digests.
     """
 
     def __init__(self) -> None:
@@ -46,7 +47,7 @@ class Digests:
         self._metadata = _new()
 
     def add_topic(self, channel: Channel, schema: Schema | None) -> None:
-        """Start the digest of a topic with its definition; messages of its channel are ignored before this call."""
+        """Start the digest of a topic with its definition; call this before its first message."""
         digest = _new()
         _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
         if schema is not None:
@@ -56,7 +57,10 @@ class Digests:
     def add_message(
         self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes | memoryview
     ) -> None:
-        """Add a message to the digest of its topic, in file order; it is ignored if `add_topic` has not been called."""
+        """Add a message to the digest of its topic; call this in file order. Times are in ns.
+
+        The message is ignored if `add_topic` has not been called for its channel.
+        """
         if channel not in self._topics:
             return
         digest = self._topics[channel][1]
@@ -64,13 +68,16 @@ class Digests:
         digest.update(data)
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add an attachment to the digest of all attachments, in file order."""
+        """Add an attachment to the digest of all attachments; call this in file order."""
         digest = self._attachments
         _add(digest, attachment.name, attachment.media_type, attachment.data)
         digest.update(struct.pack("<QQ", attachment.log_time, attachment.create_time))
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
-        """Add a metadata record to the digest of all metadata records, in file order."""
+        """Add a metadata record to the digest of all metadata records; call this in file order.
+
+        The record with the digests themselves (`RECORD_NAME`) is ignored.
+        """
         if name != RECORD_NAME:
             _add(self._metadata, name, json.dumps(dict(content), sort_keys=True))
 
@@ -80,7 +87,7 @@ class Digests:
         return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
 
     def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
-        """Yield a sentence for each part of a file that has changed since it was recorded, by its digest.
+        """Yield an English sentence for each part of the file whose digest differs from that of its recorder.
 
         Args:
             recorded: digests that the recorder of the file wrote into its metadata record `RECORD_NAME`.

@@ -14,8 +14,9 @@
 """Losses of a recording: messages that never reached the recorder, and gaps between the stamps of scans.
 
 rclpy provides the sequence number of a message but not its sender. The numbers of a topic are therefore sorted into
-streams, one per publisher. A message continues the stream whose next number it has. If it continues none, it starts the
-stream of a publisher without messages so far, if the graph has one. Otherwise the numbers in between are lost.
+streams, one per publisher. A message continues the stream whose next number it has. If there is no such stream, and the
+graph has a publisher without a stream, the message starts a stream for it. Otherwise the message continues the stream
+with the largest smaller number, and the messages with the numbers in between are lost.
 
 The stamp of scan i is `start_ns + i * 10**9 // rate_hz`: exact integers, so one missing scan in an hour is detected.
 """
@@ -37,8 +38,11 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, first_scan_at, scan_in
 
 RECORD_NAME = "impact_rig/losses"  # metadata record of received and lost messages, written when a file is finished
 REPLACED = frozenset(topic.name for topic in topics.COMMON if topic.qos is topics.Qos.LATCHED)
-"""Topics of which a publisher keeps only the newest message: one that was replaced does not count as lost."""
-_LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) cannot be that of a block
+"""Relative names of the latched topics, whose publishers keep only the newest message.
+
+A message that was replaced by a newer one before the recorder received it does not count as lost.
+"""
+_LONGEST_BLOCK_S = 1e6  # a larger `time` (or NaN) in a row is invalid, because no block lasts so long
 WHOLE = 1e-6  # tolerance within which a rate counts as a whole number, relative: times are rounded
 # maximum number of streams per topic: if publishers come and go for days, only the last ones are still alive
 MAX_STREAMS = 64
@@ -77,8 +81,8 @@ class Account:
     """Account of the messages that a recorder has received and of those it has missed, by topic and publisher.
 
     Args:
-        publishers: query for the present publishers of a topic; None means that each topic has one publisher, as long
-            as its sequence numbers increase.
+        publishers: function that returns the present publishers of a topic. None means that they are unknown: a topic
+            then has one publisher, and a further one each time that the sequence numbers start again.
     """
 
     def __init__(self, publishers: Publishers | None = None) -> None:
@@ -107,7 +111,7 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the names of all publishers of a topic, as far as known; empty if only one, or none, sent messages."""
+        """Return the sorted names of all publishers seen on a topic; an empty list unless several sent messages."""
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
@@ -169,25 +173,28 @@ class Gap:
     """Gap between two successive recorded blocks of scans."""
 
     block: int  # number of the block after the gap, counted from 0
-    expected_ns: int  # stamp of the first missing scan, which the block should have
-    stamp_ns: int  # stamp that it has; for scans missing before a reset, the time of scan 0 after the reset
+    expected_ns: int  # stamp that the block after the gap should have: that of the first missing scan
+    stamp_ns: int  # stamp that the block has; for scans missing before a reset, the time of scan 0 after the reset
     missing_scans: int
     """Number of scans that are missing between the two blocks.
 
-    It is negative if the stamps go back (a reset, a duplicate or out-of-order block), and 0 if no scan can have the
-    stamp of the second block.
+    It is negative if the stamps go back (a reset, a duplicate or out-of-order block). It is 0 if the second block
+    follows the first, but its stamp is not exactly that of a scan.
     """
 
 
 @attrs.frozen
 class Contiguity:
-    """Contiguity of a sequence of blocks: their number, and what is missing between them."""
+    """Contiguity of a sequence of blocks: number of blocks and scans, and the gaps between the blocks."""
 
     blocks: int
     scans: int
     gaps: tuple[Gap, ...]
     lost_blocks: int
-    """Number of blocks that would fill the gaps, rounded up; each is as long as the block before its gap."""
+    """Number of blocks that would fill the gaps, each as long as the block before its gap.
+
+    The number of a gap is rounded up, that of a gap before a reset down.
+    """
     lost_scans: int
     restarts: int  # number of times the stamps went back
 
@@ -209,13 +216,15 @@ def check_contiguity(
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
         rate_hz: scans per second.
-        start_ns: rig time of scan 0 [ns]. None means unknown: the first block then defines the index of a scan, and so
-            does a block whose stamp does not fit, so that a restarted rig counts as one gap. If the scan period is not
-            a whole number of nanoseconds, a stamp may then differ by one nanosecond.
-        starts: rig times of scan 0 of further rigs [ns]: nothing is missing between the last block of one rig and the
-            first block of the next.
-        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block, so fewer
-            missing scans before it than in a block and a tick of commands are no gap.
+        start_ns: rig time of scan 0 [ns]. None means unknown: scans are then counted from the first block, and again
+            from each block whose stamp is not a whole number of scan periods after that, so that a restarted rig counts
+            as one gap. If the scan period is not a whole number of nanoseconds, a stamp may then differ by one
+            nanosecond.
+        starts: rig times of scan 0 of further rigs in the same recording [ns]. The time between the last block of one
+            rig and the first block of the next is no gap.
+        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block yet. Scans
+            missing before it are therefore a gap only if they are at least as many as a block and a tick of commands
+            (10 ms) have together.
     """
     over, under = rate_hz.as_integer_ratio()
     period_exact = NS_PER_S * under % over == 0
@@ -265,7 +274,7 @@ def has_times(table: Table) -> bool:
 
 
 def last_scan_ns(table: Table) -> int:
-    """Return the stamp of the last scan of a block [ns]; that of the block if it has no rows or valid column `time`."""
+    """Return the stamp of the last scan of a block [ns]; that of the block if it has no rows or no valid `time`."""
     if not len(table.rows) or not has_times(table):
         return table.stamp_ns
     last_s = float(table.rows["time"][-1])
@@ -273,9 +282,10 @@ def last_scan_ns(table: Table) -> int:
 
 
 def scan_rate_hz(table: Table) -> float | None:
-    """Return the scan rate of a block [Hz] from its first and last `time`: an int if whole to 1e-6; None if unknown.
+    """Return the scan rate of a block [Hz], from its first and last `time`; None if it cannot be computed.
 
-    It is unknown with fewer than two scans, without a column `time`, or if the last time is not after the first.
+    A rate within a relative 1e-6 of a whole number is returned as that int. The result is None with fewer than two
+    scans, without a column `time`, or if the last time is not after the first.
     """
     if not has_times(table) or len(table.rows) < 2:
         return None

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of a run: a directory or a single MCAP file, message by message in log-time order, with all checksums.
+"""Reader of a run (a directory or a single MCAP file), which yields messages in log-time order and checks checksums.
 
 A thread reads and decompresses some chunks ahead (the decompressor releases the interpreter lock), so an analysis on
 another core rarely waits.
@@ -58,7 +58,7 @@ CONVERT = (
     "--dst-storage mcap)"
 )
 LEAST_AHEAD, AHEAD_BYTES = 2, 4 * budget.MIB
-"""Limits of reading ahead: at least this number of chunks, and more up to this total size [bytes]."""
+"""Limits of reading ahead: this number of chunks in any case, and more up to this total decompressed size [bytes]."""
 _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -95,7 +95,7 @@ class Segment:
 
     @classmethod
     def of_chunk(cls, index: ChunkIndex) -> Segment:
-        """Return the segment that is the chunk with this index record."""
+        """Return the segment for the chunk that an index record describes."""
         times = index.message_start_time, index.message_end_time
         channels = frozenset(index.message_index_offsets)
         return cls(index.chunk_start_offset, index.chunk_length, *times, index.uncompressed_size, channels, chunk=index)
@@ -103,7 +103,7 @@ class Segment:
 
 @attrs.frozen
 class _Place:
-    """Place of messages in a run: a segment of one of its files."""
+    """Segment of one of the files of a run, with its file."""
 
     source: McapSource
     segment: Segment
@@ -222,7 +222,8 @@ class Run:
                     verified = verify(content)
                     if verified is None:
                         raise DamageError(
-                            f"{self.path}: the metadata record {name!r} has no checksum, or does not match it"
+                            f"{self.path}: the metadata record {name!r} has no checksum, or does not match it, so it "
+                            "was damaged or changed after the recording"
                         )
                     return verified
         return {}
@@ -261,8 +262,8 @@ class Run:
         """Return the full name of a topic, recorded or not.
 
         Args:
-            wanted: a topic or its name; a relative name is completed with the rig's namespace. A recorded name without
-                a slash is returned unchanged, unless the completed name was recorded as well.
+            wanted: a topic or its name; a relative name is completed with the rig's namespace. A name that was recorded
+                without a leading slash is returned unchanged, unless the completed name was recorded as well.
 
         Raises:
             RecordingError: there are several rigs, and none was chosen.
@@ -317,9 +318,9 @@ class Run:
 
         Args:
             topics: topics to read, by absolute names or names relative to the rig's namespace; None means all.
-            start_ns: log time of the first message [ns], inclusive; None means from the start.
-            end_ns: log time at which to end [ns], exclusive; None means to the end.
-            recorded_order: whether to yield messages in the order of recording instead.
+            start_ns: earliest log time of the messages [ns], inclusive; None means from the start.
+            end_ns: end of the log times [ns], exclusive; None means to the end.
+            recorded_order: whether to yield messages in the order in which they were recorded instead.
 
         Yields:
             Messages, with `topic`, `type_name`, `log_time` [ns], `publish_time` [ns], `sequence` and `data`: the CDR
@@ -350,10 +351,10 @@ class Run:
         Args:
             topic: a name, which yields all tables recorded under it; or an entry of `impact_rig.topics`, which also
                 checks their columns and values.
-            recorded_order: whether to use the order of recording.
+            recorded_order: whether to yield tables in the order in which they were recorded.
 
         Yields:
-            Tables; of `daq/scan`, one per block.
+            Tables, one per message; for `daq/scan`, one per block of scans.
 
         Raises:
             RecordingError: the topic is missing or carries no tables (raised by the call itself); or a chunk is
@@ -364,13 +365,13 @@ class Run:
         return (self.table(message, known) for message in self.messages([name], recorded_order=recorded_order))
 
     def table(self, message: Message, topic: Topic | None = None, needs: tuple[str, ...] = ()) -> Table:
-        """Return the table in a message of this run.
+        """Decode the table in a message of this run.
 
         Args:
             message: the message, from `messages`.
-            topic: topic of the table (an entry of `impact_rig.topics`), whose columns and values are then checked; None
-                allows any.
-            needs: further required columns, such as the channels of a scan.
+            topic: entry of `impact_rig.topics`, with which the columns and values of the table must agree; None allows
+                any.
+            needs: names of further columns that the table must have, such as the channels of a scan.
 
         Raises:
             RecordingError: the message is not a valid table.
@@ -512,14 +513,23 @@ class Run:
             del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Raise an error if too many chunks must be kept in memory until the time of their latest message is reached.
+        """Raise an error if the chunks that must be in memory at the same time are too large.
 
-        A hostile recording has such chunks: each holds a message that is much later than its others.
+        Messages are yielded by log time, so a chunk stays in memory until its latest message has been yielded. In a
+        hostile recording, each chunk has one message that is much later than its others.
+
+        Args:
+            pending: messages that have been read but not yielded.
+            recorded: all segments; the second item of a pending message is the index of its segment in this sequence.
+            coming: segments that are read next.
+
+        Raises:
+            BudgetError: the decompressed segments of both kinds, with the messages, exceed `budget.HELD_BYTES`.
         """
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)
         with _named(self.path):
-            budget.allow("bytes held until their time is reached", size, budget.HELD_BYTES)
+            budget.allow("bytes of chunks in memory because messages are out of order", size, budget.HELD_BYTES)
 
 
 @contextlib.contextmanager
@@ -575,10 +585,10 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
 
 def run_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a run: those that `metadata.yaml` lists, else all, by the numbers in their names.
+    """Return the MCAP files of a run: those that `metadata.yaml` lists; without it all, by the numbers in their names.
 
-    A directory without MCAP files gives its SQLite or compressed files; to open one raises an error that says how to
-    convert it. If `path` is a file, it is the only one.
+    For a directory without MCAP files, the result is its SQLite or compressed files: opening one raises an error that
+    says how to convert it. If `path` is a file, the result is this file.
 
     Raises:
         RecordingError: `path` does not exist or contains no such file, `metadata.yaml` cannot be read, or a file that
@@ -603,9 +613,9 @@ def run_files(path: Path) -> list[Path]:
 
 
 def _listed(directory: Path, name: str) -> Path:
-    """Return the path of a file that `metadata.yaml` lists; of a compressed file, the unpacked one if there is one.
+    """Return the path of a file that `metadata.yaml` lists; for `x.mcap.zstd`, that of `x.mcap` if this exists.
 
-    The listed name may include the folder, as older versions of rosbag2 write it.
+    The listed name may begin with the name of the directory, as older versions of rosbag2 write it.
     """
     file = directory / Path(name).name
     unpacked = file.with_suffix("") if file.suffix == ".zstd" else file
@@ -650,7 +660,11 @@ def _wanted(source: McapSource, segment: Segment, names: frozenset[str] | None) 
 def _items(
     place: _Place, content: memoryview, names: frozenset[str] | None, number_of_place: int, account: ReadBudget
 ) -> list[_Item]:
-    """Return the messages of the named topics (None: of all) in a segment, each with a key that sorts by log time."""
+    """Return the messages of the named topics (None: of all) in the decompressed `content` of a segment.
+
+    Each message follows its log time, the number of its segment and its own number, so that the items sort by log time,
+    and those of equal times in recorded order. `account` counts messages that are decompressed.
+    """
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []
@@ -718,7 +732,7 @@ class McapSource:
             self._fd = -1
 
     def refuse_if_closed(self, offset: int) -> None:
-        """Raise an error if this file has been closed, before the segment at byte `offset` of it is read.
+        """Check before the segment at byte `offset` is read that this file has not been closed.
 
         Raises:
             RecordingError: the file has been closed.
@@ -727,7 +741,10 @@ class McapSource:
             raise RecordingError(f"cannot read {self.path} at byte {offset}: the run has been closed")
 
     def _is_being_written(self) -> bool:
-        """Return whether a recorder still writes this file: it holds a lock on the file until it ends."""
+        """Return whether a recorder still writes this file: a recorder locks its file until it has finished it.
+
+        It is False on a file system without locks.
+        """
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -738,12 +755,21 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the segments with the messages of this file, in file order: its chunks, or parts if it has none."""
+        """Return the segments with the messages of this file, in file order: its chunks, or without chunks 1 MiB parts.
+
+        Without messages, the list is empty.
+        """
         chunks = [Segment.of_chunk(index) for index in self.summary.chunk_indexes]
         return chunks if chunks or not self.statistics.message_count else list(self._outside_chunks())
 
     def _outside_chunks(self) -> Iterator[Segment]:
-        """Yield segments of consecutive messages in a file without chunks, by reading the heads of all its records."""
+        """Yield segments of consecutive messages in a file without chunks.
+
+        The heads of all records are read, because there is no index of messages outside chunks.
+
+        Raises:
+            DamageError: a record is truncated, a message is too short, or the data section has no end.
+        """
         position, view, base = len(records.MAGIC), b"", 0
         start = ended = 0
         times: list[int] = []
@@ -774,7 +800,7 @@ class McapSource:
             position = end
 
     def content(self, segment: Segment) -> memoryview:
-        """Return the records of a segment, decompressed, and checked if they carry a checksum.
+        """Return the decompressed records of a segment, checked by the checksum of its chunk if it has one.
 
         Raises:
             RecordingError: the segment is damaged or cannot be read.
@@ -801,7 +827,7 @@ class McapSource:
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
 
     def attachment_records(self) -> list[tuple[mcap_records.Attachment, bool]]:
-        """Return the attachment records of this file, each with whether it carries a checksum (which then matches).
+        """Return the attachment records of this file, each with True if it carries a checksum, which then matches.
 
         Raises:
             RecordingError: an attachment is damaged.
@@ -820,7 +846,7 @@ class McapSource:
         return found
 
     def metadata(self) -> list[tuple[str, dict[str, str]]]:
-        """Return name and content of the metadata records of this file, in order.
+        """Return name and content of the metadata records of this file, in the order of its index.
 
         MCAP does not protect the content by a checksum; `description.verify` checks those of this package.
 
@@ -855,7 +881,7 @@ class McapSource:
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
     def data_end(self) -> int:
-        """Return the offset at which the record that ends the data section must be: directly before the summary."""
+        """Return the offset [bytes] at which the DataEnd record must begin: it ends directly before the summary."""
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
         _, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
@@ -898,7 +924,7 @@ class McapSource:
 
 
 class ForeignBagError(RecordingError):
-    """Error of a recording that is not an MCAP file; the message has a command that converts it."""
+    """Error of a recording of rosbag2 that is not an MCAP file; the message has a command that converts it."""
 
 
 def refuse_foreign(fd: int) -> None:
@@ -921,6 +947,8 @@ def read_summary(fd: int, size: int) -> Summary:
 
     Raises:
         DamageError: the file is not a finished MCAP file, or the summary is damaged.
+        ForeignBagError: the file is a bag in SQLite, or compressed as a whole.
+        BudgetError: the summary is larger than `budget.INDEX_BYTES`.
     """
     magic, tail_bytes = len(records.MAGIC), records.FOOTER_BYTES + len(records.MAGIC)
     refuse_foreign(fd)
@@ -951,8 +979,8 @@ def parse_summary(section: memoryview) -> Summary:
     """Parse the summary section of an MCAP file: its schemas, channels, indexes and statistics.
 
     Raises:
-        DamageError: the section is not a sequence of records, has no statistics, lists another number of chunks, fewer
-            topics or fewer message definitions than they count, or lists a chunk twice.
+        DamageError: the section is not a sequence of records or has no statistics. Or it lists another number of
+            chunks, fewer topics or fewer message definitions than its statistics state, or chunks that overlap.
     """
     found = Summary()
     offset = 0
@@ -988,7 +1016,7 @@ def parse_summary(section: memoryview) -> Summary:
 
 
 def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
-    """Raise an error for an index that lists a chunk, or a part of one, twice: a short file could be read forever."""
+    """Raise an error if two chunks in an index overlap, because a short file could then claim endless content."""
     ends_at = 0
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset

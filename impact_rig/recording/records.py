@@ -11,11 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Strict reader of MCAP records: every length and every checksum is verified.
+"""Strict reader of MCAP records, which verifies every length and every checksum that a record carries.
 
-The library `mcap` parses the content of records. It trusts lengths (a short read passes for a complete record) and
-sizes (memory for whatever a chunk claims), so it returns wrong data from damaged files and is open to attacks. This
-module replaces those parts. Source: the MCAP format specification, version 0.
+The library `mcap` only parses the content of records here. Its own reading of files trusts what a file states: it
+accepts a truncated record as complete, and allocates as much memory as a chunk claims to need. It would return wrong
+data from damaged files, and a hostile file could exhaust the memory. This module replaces that part of the library.
+Source: the MCAP format specification, version 0.
 """
 
 from __future__ import annotations
@@ -54,9 +55,10 @@ class UncheckedError(DamageError):
 
 
 class RawMessage(NamedTuple):
-    """Message as it is stored in a chunk; times in ns, `data` is a view of the chunk.
+    """Message as it is stored in a chunk; times in ns, `data` is a view of the decompressed chunk.
 
-    `offset` is the place of its record in the decompressed chunk [bytes], as a message index states it.
+    `offset` is the position at which its record begins in the decompressed chunk [bytes]. A message index of MCAP lists
+    the same number.
     """
 
     channel_id: int
@@ -68,7 +70,10 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """Reader of the fields of a record for the library `mcap` that copies nothing and rejects truncated fields."""
+    """Stream from which the library `mcap` reads the fields of one record: it copies nothing and rejects short fields.
+
+    `view` is the content of the record.
+    """
 
     def __init__(self, view: memoryview) -> None:
         super().__init__(io.BytesIO())
@@ -91,7 +96,7 @@ Record = TypeVar("Record", bound=mcap_records.McapRecord)
 
 
 def parse(kind: type[Record], content: memoryview) -> Record:
-    """Parse the content of a record, without its head, as a record of a class of `mcap.records`.
+    """Parse the content of a record (the bytes after its opcode and length) into an object of the class `kind`.
 
     Binary fields of the result are views of `content`, not copies.
 
@@ -109,7 +114,10 @@ def parse(kind: type[Record], content: memoryview) -> Record:
 
 
 def attachment_crc(content: memoryview) -> bool | None:
-    """Return whether the checksum at the end of an attachment record's content matches; None if it carries none (0)."""
+    """Return whether the checksum in the last 4 bytes of an attachment record's content matches the bytes before it.
+
+    None means that the record carries no checksum: the 4 bytes are 0.
+    """
     crc = int.from_bytes(content[-4:], "little")
     return zlib.crc32(content[:-4]) == crc if crc else None
 
@@ -134,11 +142,11 @@ def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryvi
     """Return the decompressed records of a chunk, checked against the size and checksum that the chunk states.
 
     Decompression never needs more memory than the stated size. A chunk without a checksum (0) is accepted, unless
-    `need_crc`.
+    `need_crc` is True.
 
     Raises:
         DamageError: size or checksum differ, the compression is unknown, or the data cannot be decompressed.
-        UncheckedError: `need_crc`, and the chunk has no checksum.
+        UncheckedError: `need_crc` is True, and the chunk has no checksum.
     """
     size = chunk.uncompressed_size
     if chunk.compression not in _DECOMPRESS:
@@ -158,7 +166,7 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
 def plain_message(data: memoryview, most: int) -> memoryview:
-    """Return the CDR bytes of a message; decompress them if the recorder compressed each message with zstd.
+    """Return the CDR bytes of a message; decompress them if the recorder compressed each message on its own with zstd.
 
     Args:
         data: message in CDR, which is returned unchanged, or a zstd frame that contains one.
@@ -204,7 +212,7 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
 
 
 def count(records: memoryview, most: int) -> int:
-    """Return the number of records in the decompressed content of a chunk; counting stops at `most` + 1.
+    """Return the number of records in the decompressed content of a chunk, or `most` + 1 if there are more than `most`.
 
     Raises:
         DamageError: the content is not a sequence of records.

@@ -32,7 +32,7 @@ _RELATIVE = sorted((topic for topic in topics.COMMON if not topic.name.startswit
 def prefix_of(name: str, topic: topics.Topic) -> str | None:
     """Return the part of a full name before the relative name of `topic`: `/rig/` of `/rig/daq/scan`.
 
-    It is empty if nothing precedes the relative name, and None if `name` is not a name of this topic.
+    The part is empty if `name` is the relative name itself, and None if `name` is not a name of this topic.
     """
     if name == topic.name:
         return ""
@@ -42,8 +42,9 @@ def prefix_of(name: str, topic: topics.Topic) -> str | None:
 def prefixes(types: Mapping[str, str]) -> tuple[str, ...]:
     """Return the topic prefix of each rig, such as `/rig/`, in alphabetical order.
 
-    Each rig publishes `daq/scan`, so the topics of this name show the rigs. If some of them carry tables, only those
-    count. In a recording without any, each known topic indicates a rig, by the longest relative name that fits.
+    Each rig publishes `daq/scan`, so the recorded topics with this relative name show the rigs. If some of them carry
+    tables, only those count. In a recording without `daq/scan`, every recorded topic whose name ends with a relative
+    name of `impact_rig.topics` indicates a rig. If several relative names fit, the longest one counts.
 
     Args:
         types: type of each recorded topic, by full name.
@@ -70,8 +71,9 @@ def choose(known: Iterable[str], wanted: str | None, where: object) -> str:
 
     Args:
         known: prefixes of the rigs in a recording.
-        wanted: namespace, with or without slashes around it; None means the only rig, and `/` if there is no rig.
-        where: recording, for the error.
+        wanted: namespace, with or without slashes around it. None means the only rig; if the recording has no rig, the
+            result is then `/`.
+        where: path of the recording, for the error.
 
     Raises:
         RecordingError: the recording has no such rig, or has several and none was chosen.

@@ -13,13 +13,14 @@
 # limitations under the License.
 """Writer of a run: a directory with MCAP files for any ROS 2 tool, and `metadata.yaml` as in rosbag2.
 
-A chunk is closed when it is full or has been open for half a second of wall time, and passed to the operating system at
-once. A killed process loses only the open chunk, and not even that if there is a tail. `metadata.yaml` is written when
-the run is finished. A directory without it is incomplete; `recover` writes its intact messages to a new run.
+A chunk is closed when it is full or has been open for half a second of wall time, and is then passed to the operating
+system at once. A killed process loses only the messages of the open chunk; with a tail (`Tail`), only those since the
+last call of `RunWriter.secure`. `metadata.yaml` is written when the run is finished. A directory without it is
+incomplete; `recover` writes its intact messages to a new run.
 
-Only complete records are on disk: `mcap.writer.Writer` composes them in memory, so a failing disk never leaves it half
-way. `McapFile.commit` moves complete records to the file, and truncates the file to the last complete record if that
-fails. Writing stops before the disk or the file size limit is reached.
+Only complete records are on disk. `mcap.writer.Writer` composes them in memory, so an error of the disk cannot
+interrupt it within a record. `McapFile.commit` writes complete records to the file, and truncates the file to the last
+complete record if that fails. Writing stops before the disk is full or the file size limit is reached.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it 
 
 @attrs.define
 class _Channel:
-    """Topic of a run that is written, with its channel in the current file and its number of messages."""
+    """Topic of a run that is being written, with its channel id in the open file and its number of messages."""
 
     topic: TopicDescription
     has_header: bool
@@ -94,15 +95,15 @@ class RunWriter:
         provenance: content of the `impact_rig` metadata record of every file; None means no record.
         attachments: attachments of every file; see `attach`.
         account: account of received and lost messages; None means a new one that does not know the publishers.
-        closing: function that returns further metadata records by name; it is called when a file is finished, so of a
-            split run once per file.
-        clock: monotonic wall clock [s]; decides when an open chunk is due.
+        closing: function that returns further metadata records by name, which are written at the end of a file. It is
+            called once per file.
+        clock: monotonic wall clock [s]; decides when an open chunk has been open for `CHUNK_OPEN_S`.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: see `CHUNK_BYTES`.
         max_file_bytes: size beyond which a new file is started; 0 means one file.
         max_file_duration_ns: duration since the first message of a file after which a new one is started; 0 means one
             file.
-        tail: whether to keep the content of the open chunk in a second file, as needed by `secure`.
+        tail: whether to keep the messages of the open chunk in a second file (`Tail`), which `secure` needs.
         ros_distro: name of the distribution for `metadata.yaml`.
 
     Raises:
@@ -234,7 +235,7 @@ class RunWriter:
         self._write(channel, data, self._clock_ns.now_ns, publish_time_ns, sequence, counted=True)
 
     def _begin_without_scans(self) -> None:
-        """Write the messages that wait for a first scan, because the run ends without one or too many wait.
+        """Write the messages that wait for a first scan without it, because the run ends or too many of them wait.
 
         Their log time is the newest of their stamps; without stamps, each has its publish time.
         """
@@ -242,7 +243,7 @@ class RunWriter:
         self._write_early(max(stamps, default=0) or None)
 
     def _write_early(self, time_ns: int | None) -> None:
-        """Write the messages that wait for the first scan, with this log time; None: each has its publish time."""
+        """Write the messages that wait for the first scan, with the log time `time_ns`; None: each its publish time."""
         for one in self._early:
             now_ns = self._clock_ns.go_on(one.publish_time_ns if time_ns is None else time_ns)
             self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
@@ -314,8 +315,9 @@ class RunWriter:
 
         Args:
             attachment: the file.
-            instead_of: name of an earlier attachment, in whose place this one is stored in further files. If that one
-                has been replaced before, it is the name of the first one. Empty: of the one with the same name.
+            instead_of: name of an earlier attachment that this one replaces in further files. If the earlier attachment
+                was itself a replacement, give the name of the attachment that was stored first. An empty name means
+                the attachment with the same name as this one.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -455,8 +457,9 @@ class RunWriter:
     def stop(self, error: RecordingError) -> None:
         """End the run because of `error`, which every later call that would record something raises again.
 
-        MCAP files that are finished remain a readable run; the open one is closed without an index. `finish` then has
-        no effect.
+        The open MCAP file is closed without an index, so `recover` is needed for it. If an MCAP file has been finished
+        and no further one is open, `metadata.yaml` is written, so that the run can be read. `finish` has no effect
+        after this call.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -468,7 +471,9 @@ class RunWriter:
 
 
 class _StoppingOnError:
-    """Context whose RecordingError ends the run: later calls repeat the error, and write nothing after the damage.
+    """Context manager that ends the run if its block raises a RecordingError.
+
+    Later calls of the writer then raise this error again, and write nothing after a position that may be damaged.
 
     It is a class, not a generator, because every message passes through it.
     """
@@ -501,7 +506,8 @@ class _Early:
 class LogClock:
     """Log time of a recording: the rig time at which a message is received, computed from the scans received so far.
 
-    It never goes back. If the stamps go back (a restarted rig), it continues from its last value at their rate.
+    The log time never goes back. If the stamps go back because a rig was restarted, the log time continues from its
+    last value, and advances by as much as the stamps do.
     """
 
     def __init__(self) -> None:
@@ -515,10 +521,10 @@ class LogClock:
         return self.now_ns
 
     def begin_block(self, first_ns: int, last_ns: int) -> int:
-        """Advance the log time to the first scan of a received block, and return it: the log time of the block.
+        """Advance the log time to the first scan of a received block, and return it: it is the log time of the block.
 
-        If the stamps went back, as those of a restarted rig do, log times continue from the last one. `end_block` later
-        advances the log time to the last scan.
+        If the stamps went back, as those of a restarted rig do, the first block after that has the last log time
+        instead. `end_block` later advances the log time to the last scan of the block.
 
         Args:
             first_ns: stamp of its first scan [ns].
@@ -533,7 +539,7 @@ class LogClock:
         return log_time
 
     def end_block(self) -> None:
-        """Advance the log time to the last scan of the block of the last `begin_block`, which has been written."""
+        """Advance the log time to the last scan of the block given to `begin_block`; call this when it is written."""
         self.now_ns = self._end_ns
 
 
@@ -597,7 +603,7 @@ _INDEX_BYTES_FIXED = 4096  # statistics, summary offsets, footer, metadata and a
 
 
 class _Buffer(io.BytesIO):
-    """Memory buffer for the records that are not written yet, whose position counts from the begin of the file."""
+    """Memory buffer for the records that are not written yet; `tell` counts from the beginning of the MCAP file."""
 
     committed = 0
 
@@ -617,17 +623,19 @@ class _Buffer(io.BytesIO):
 
 
 class McapFile:
-    """MCAP file of profile `ros2` that is written, and locked meanwhile; records wait in memory for `commit`.
+    """New MCAP file of profile `ros2`, open for writing and locked until it is closed.
+
+    Records wait in memory until `commit` writes them.
 
     Args:
         path: path of a new file.
         compression: `none`, `lz4` or `zstd`.
-        chunk_bytes: size above which a chunk is closed.
-        chunked: whether messages and definitions go into chunks.
+        chunk_bytes: uncompressed size above which a chunk is closed.
+        chunked: whether messages and definitions are stored in chunks.
 
     Raises:
-        RecordingError: the file exists or cannot be created, the compression is unknown, or disk and file size limit
-            leave no room for a single chunk.
+        RecordingError: the file exists or cannot be created, the compression is unknown, or the disk or the file size
+            limit of the process leaves no room for a chunk.
     """
 
     def __init__(self, path: Path, *, compression: str, chunk_bytes: int, chunked: bool = True) -> None:
@@ -688,7 +696,10 @@ class McapFile:
         return number
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Add a message to the open chunk; return whether it filled the chunk, which is then closed for `commit`."""
+        """Add a message to the open chunk, and return whether this filled the chunk.
+
+        A full chunk is closed, so that the next `commit` writes it. Times are in ns.
+        """
         self._largest_message = max(self._largest_message, len(data))
         sequence &= SEQUENCE_MASK
         self._messages.append((channel, log_time, data, publish_time, sequence))
@@ -714,7 +725,7 @@ class McapFile:
         )
 
     def add_record(self, record: bytes) -> None:
-        """Add the bytes of a complete record, which bypasses index and statistics; `commit` writes it."""
+        """Add the bytes of a complete record, which index and statistics do not include; `commit` writes it."""
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
@@ -754,7 +765,7 @@ class McapFile:
                 os.ftruncate(self._fd, self._buffer.committed)
             raise RecordingError(
                 f"cannot write {self.path}: {error.strerror}; the file ends with its last complete record "
-                f"({self.size} bytes) and has no index yet, complete it with impact-rig recover"
+                f"({self.size} bytes) and has no index: copy its messages to a new run with impact-rig recover"
             ) from error
         finally:
             data.release()
@@ -806,7 +817,7 @@ def _length(record: McapRecord) -> int:
 
 
 def _create(path: Path) -> int:
-    """Create a file and return its descriptor; a lock on it shows readers that this process still writes it."""
+    """Create a file, lock it and return its descriptor; the lock shows readers that this process still writes it."""
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
@@ -833,7 +844,7 @@ _SIZES = struct.Struct("<IQ")
 
 
 def tail_of(recording: Path) -> Path:
-    """Return the path of the tail of an MCAP file, which need not exist: the file with its open chunk (`Tail`)."""
+    """Return the path of the file with the open chunk of an MCAP file (its `Tail`), whether it exists or not."""
     return recording.with_name(recording.name + TAIL_SUFFIX)
 
 
@@ -842,11 +853,11 @@ class Tail(McapFile):
 
     Args:
         recording: path of the MCAP file whose chunk is open.
-        follows: size of that file, without the open chunk [bytes].
-        topics: its topics in the order of their registration, so that channel ids are equal in both files.
-        chunk_bytes: chunk size of the recording.
-        definitions: `definitions` of an earlier tail with the same topics, or None; encoding them again takes a
-            twentieth of the time of a recorder.
+        follows: size of the recording without its open chunk [bytes].
+        topics: topics of the recording in the order of their registration, so that channel ids are equal in both files.
+        chunk_bytes: chunk size of the recording [bytes].
+        definitions: `definitions` of an earlier tail with the same topics, which saves a recorder a twentieth of its
+            time; None means that they are encoded from `topics`.
 
     Raises:
         RecordingError: the file exists, or cannot be written.
@@ -881,11 +892,11 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return an empty text, because the check of the recording itself leaves space for this chunk, too."""
+        """Return an empty text: `McapFile.shortage` of the recording already leaves space for its open chunk."""
         return ""
 
     def secure(self) -> None:
-        """Write the messages since the last call to this file, so that they survive if this process is killed.
+        """Write the messages added since the last call to disk, so that they survive if this process is killed.
 
         Raises:
             RecordingError: the messages cannot be written.
@@ -907,9 +918,9 @@ class Tail(McapFile):
 
 
 def _chunk(content: bytes, first_ns: int, last_ns: int) -> bytes:
-    """Return the bytes of an uncompressed MCAP Chunk record with these records of definitions and messages.
+    """Return the bytes of an uncompressed MCAP Chunk record that contains these records of definitions and messages.
 
-    Source: MCAP format specification, version 0. The times are the first and last log time [ns].
+    The times are the earliest and latest log time of its messages [ns]. Source: MCAP format specification, version 0.
     """
     head = CHUNK_HEAD.pack(first_ns, last_ns, len(content), zlib.crc32(content))
     sizes = _SIZES.pack(0, len(content))  # an empty compression name

@@ -22,16 +22,17 @@ from impact_rig.system.extras import load_ros
 
 
 def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], object]:
-    """Return the `__getattr__` of a package whose public names are defined in other modules.
+    """Return a function `__getattr__` for a package, which imports the module of a public name when it is first used.
 
     Args:
         package: name of the package.
-        needs_ros: its module that needs ROS 2; without ROS 2, names of this module raise an `ImpactRigError`.
-        homes: module of each name, within the package or with its full name.
+        needs_ros: module among the values of `homes` that needs ROS 2. Without ROS 2, its names raise an
+            `ImpactRigError`.
+        homes: for each public name, the module that defines it: relative to the package, or by its full name.
     """
 
     def find(name: str) -> object:
-        """Load a public name at its first use."""
+        """Return the object with a public name of the package, from the module that defines it."""
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home = homes[name]

@@ -14,11 +14,12 @@
 """Limits on the cost of reading an untrusted recording, campaign or configuration, and one way to raise them.
 
 Memory has fixed limits. Work is limited in proportion to the size of the files. Honest files stay far below both. Files
-made to fill the memory or to run forever are rejected with the figure that exceeds a limit. `lab.protocol` limits the
-messages of a page.
+made to fill the memory or to be read forever are rejected, with the figure that exceeds a limit. A user who trusts a
+file raises all limits with the environment variable IMPACT_RIG_BUDGET. (`impact_rig_lab.protocol` limits the messages
+of a web page.)
 
-Plain YAML holds values, never Python objects, and a short text never expands to a long one. An alias would name one
-value in many places, or within itself, and every later copy or print would pay for all of them.
+Plain YAML, which `load_yaml` reads, contains values, never Python objects, and no aliases. With aliases a short text
+could expand to an endless value: an alias repeats one value in many places, or within itself.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ VARIABLE = "IMPACT_RIG_BUDGET"  # environment variable: factor for all limits, a
 
 MIB = 2**20
 CHUNK_BYTES = 32 * MIB  # limit of a decompressed chunk, and of every other record of a recording
-# limit of decompressed chunks in memory at once, which are needed when their messages are out of order
+# limit of the decompressed chunks that are in memory at the same time, because their messages are out of order
 HELD_BYTES = 64 * MIB
 MESSAGE_BYTES = 500  # memory overhead of a message
 INDEX_BYTES = 16 * MIB  # limit of the index of one file
@@ -49,7 +50,7 @@ RECORDS, RECORDS_PER_BYTE = 100_000, 1
 TOPICS = 5000
 QOS_CHARACTERS = 4 * MIB  # limit of the texts of all topics that state the offered quality of service
 METADATA_BYTES = 512 * 1024  # limit of `metadata.yaml`; half of it suffices for a thousand files
-POINTS = 20_000  # measurements requested by a campaign, including repetitions
+POINTS = 20_000  # limit of the measurements that a campaign requests, including repetitions
 
 
 class BudgetError(ImpactRigError):
@@ -60,9 +61,9 @@ def allow(what: str, amount: float, limit: float) -> None:
     """Raise an error if the cost of reading something is above a limit that the user has not raised.
 
     Args:
-        what: kind of the cost, for the message, such as `bytes in a chunk`.
+        what: unit of the cost as it follows the number in the message, such as `bytes in a chunk`.
         amount: the cost.
-        limit: largest cost that is allowed, before the factor of the environment variable.
+        limit: largest cost that is allowed without the environment variable, which multiplies it by `factor`.
 
     Raises:
         BudgetError: `amount` is above the limit; the message names both, and how to raise the limit.
@@ -87,16 +88,16 @@ def factor() -> float:
     except ValueError:
         value = math.nan
     if not value >= 1.0:
-        raise BudgetError(f"{VARIABLE} must be a number >= 1, got {text!r}")
+        raise BudgetError(f"the environment variable {VARIABLE} must be a number >= 1, got {text!r}")
     return value
 
 
 @attrs.define
 class ReadBudget:
-    """Limits for one pass through the chunks of a recording: sums of decompressed bytes and records so far.
+    """Sums of the decompressed bytes and records in one pass through the chunks of a recording, with their limits.
 
     Attributes:
-        size: size of the recording's files [bytes], to which the limits of the sums are in proportion.
+        size: size of the recording's files [bytes]; the limits of the sums grow in proportion to it.
     """
 
     size: int
@@ -104,7 +105,7 @@ class ReadBudget:
     _records: int = attrs.field(default=0, init=False)
 
     def chunk(self, size: int) -> None:
-        """Count a chunk that will have `size` bytes, before it is decompressed.
+        """Add a chunk of `size` decompressed bytes to the sum; call this before it is decompressed.
 
         Raises:
             BudgetError: the chunk has more than 32 MiB, or all chunks so far have more than 64 MiB plus 250 bytes per
@@ -116,11 +117,11 @@ class ReadBudget:
         allow(f"bytes in the chunks of {self.size} bytes of files", self._decompressed, limit)
 
     def records(self, count: int) -> None:
-        """Count the `count` records of one chunk.
+        """Add the `count` records of one chunk to the sum.
 
         Raises:
-            BudgetError: the chunk has too many to be held in 64 MiB of memory, or all chunks so far have more than
-                100,000 plus one per byte of the files.
+            BudgetError: the chunk has too many records for 64 MiB of memory (500 bytes each), or all chunks so far have
+                more than 100,000 plus one per byte of the files.
         """
         allow("records in a chunk", count, HELD_BYTES // MESSAGE_BYTES)
         self._records += count
@@ -137,7 +138,7 @@ class PlainYamlError(ValueError):
 
 
 def load_yaml(text: str, limit: int) -> object:
-    """Return the value in a plain YAML text of at most `limit` characters; None for a text without a value.
+    """Return the value in a plain YAML text of at most `limit` characters; None for an empty text.
 
     Raises:
         PlainYamlError: the text is longer, invalid, has an alias, a duplicate key or several documents, or is nested
@@ -164,7 +165,11 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
         self._depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Return the next node of the document, if it is plain YAML and not nested too deep. PyYAML calls this."""
+        """Return the next node of the document; PyYAML calls this.
+
+        Raises:
+            PlainYamlError: the node is an alias, has a key twice, or is nested too deep.
+        """
         if self.check_event(yaml.AliasEvent):
             raise PlainYamlError("an alias (*name) is not accepted; repeat the value")
         if self._depth >= MAX_DEPTH and self.check_event(yaml.SequenceStartEvent, yaml.MappingStartEvent):
@@ -178,7 +183,7 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
 
 
 def _refuse_twice(mapping: yaml.MappingNode) -> None:
-    """Reject a duplicate key: the later value would silently replace the first."""
+    """Raise an error if a mapping has a key twice, because the second value would silently replace the first."""
     seen = set()
     for key, _ in mapping.value:
         if isinstance(key, yaml.ScalarNode):

@@ -13,11 +13,11 @@
 # limitations under the License.
 """Orderly end of a program on SIGINT, SIGTERM or the end of its parent process.
 
-The program's first import installs the handlers, before anything heavy is loaded. During the imports, a signal ends the
-program immediately. Afterwards the first signal raises `SignalReceived` in the main thread, so that files and processes
-are closed on the way out; further signals have no effect. Code that must not be interrupted runs in `defer_signals`. If
-third-party code swallows the exception, as callbacks do, it is raised again every second. A program that has not ended
-15 s after the first signal is ended immediately.
+A program creates its `Ending` in its first import, which installs the handlers before anything heavy is loaded. During
+the other imports, a signal ends the program immediately. Afterwards the first signal raises `SignalReceived` in the
+main thread, so that files and processes are closed while the exception propagates. Further signals have no effect. Code
+that must not be interrupted runs in `defer_signals`. If third-party code catches the exception, as callbacks do, it is
+raised again every second. A program that has not ended 15 s after the first signal is ended immediately.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 AGAIN_S = 1.0  # delay until `SignalReceived` is raised again, if the program has not ended
-LAST_S = 5.0  # time limit for the shutdown of the interpreter
-PATIENCE_S = 15.0  # time limit for an orderly end
+LAST_S = 5.0  # time limit for the shutdown of the interpreter, after the work has ended
+PATIENCE_S = 15.0  # time limit for the end of the work after the first signal
 PARENT_VARIABLE = "IMPACT_RIG_EXIT_WITH"
-"""Environment variable with the id of another process; when that process has ended for any reason, this one ends."""
+"""Environment variable with the id of another process; when that process ends for any reason, this program ends, too.
+"""
 _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
@@ -46,7 +47,7 @@ class SignalReceived(KeyboardInterrupt):
 
 
 class Ending:
-    """Handler of SIGINT and SIGTERM for a program; until `run`, they end it immediately.
+    """Handler of SIGINT and SIGTERM for a program; until `run` is called, a signal ends the program immediately.
 
     Args:
         name: name of the program, for the line printed when a signal arrives.
@@ -56,7 +57,7 @@ class Ending:
     def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:
         self.name = name
         self.received = 0  # number of the first signal; 0 before
-        self.reason = ""  # reason, if the signal alone does not tell it
+        self.reason = ""  # text to print after the kind of the signal, such as ", as its parent is gone"
         self.code = code
         self._received_at = 0.0
         self._cut_short = False
@@ -65,14 +66,14 @@ class Ending:
             signal.signal(number, self._on_signal)
 
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
-        """Do the work, and return its exit code or that of the first signal.
+        """Call `work`, and return its exit code, or after a signal the exit code for the first signal.
 
-        After a signal whose exit code is not 0, this prints the name of the program and the signal on stderr. A process
-        that then still runs after 5 s, because of threads of other libraries, is ended.
+        After a signal whose exit code is not 0, this prints the name of the program and the signal on stderr. If the
+        process still runs 5 s after the work has ended on a signal, because of threads of other libraries, it is ended.
 
         Args:
             work: main function of the program.
-            interrupting: whether a signal raises `SignalReceived`; otherwise the work checks `received` itself.
+            interrupting: whether a signal raises `SignalReceived`; otherwise `work` must check `received` itself.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
@@ -101,7 +102,7 @@ class Ending:
             self._over()
 
     def _over(self) -> None:
-        """Ignore signals from now on: the work is done, and its exit code is known."""
+        """Ignore signals and stop the reminders, because the work is done and its exit code is known."""
         ignored = False
         while not ignored:
             with contextlib.suppress(SignalReceived):  # a signal may arrive in between
@@ -147,7 +148,7 @@ class Ending:
 
 
 class _Deferred:
-    """State of `defer_signals`: the depth of nested blocks, and whether a signal arrived within them (`owed`)."""
+    """State of `defer_signals`: depth of its nested `with` blocks, and whether a signal arrived in one (`owed`)."""
 
     depth = 0
     owed = False
@@ -155,10 +156,10 @@ class _Deferred:
 
 @contextlib.contextmanager
 def defer_signals() -> Iterator[None]:
-    """Finish this block before SIGINT or SIGTERM takes effect, for code that closes files or ends processes.
+    """Delay the effect of SIGINT and SIGTERM to the end of a `with` block that closes files or ends processes.
 
-    A signal that arrived raises `SignalReceived` at the end of the outermost such block. Outside the main thread,
-    which alone receives signals, this does nothing.
+    If a signal arrived during the block, the end of the outermost such block raises `SignalReceived`. Outside the main
+    thread this does nothing, because Python handles signals in the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -175,7 +176,10 @@ def defer_signals() -> Iterator[None]:
 
 @contextlib.contextmanager
 def block_signals() -> Iterator[None]:
-    """Block signals during this block; processes and threads started in it receive none, unless they unblock them."""
+    """Block SIGINT and SIGTERM for this thread during a `with` block.
+
+    Processes and threads that are started in the block receive neither signal, unless they unblock it themselves.
+    """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -184,7 +188,11 @@ def block_signals() -> Iterator[None]:
 
 
 def end_with(process: int, end: Callable[[], None]) -> None:
-    """Call `end` in a new thread when the process with the id `process` ends; at once, here, if there is none."""
+    """Call `end` in a new thread when the process with the id `process` ends.
+
+    If there is no such process, `end` is called immediately in this thread. On systems without pidfd, the end of this
+    process's parent is detected instead, so `process` must be the parent there.
+    """
     try:
         descriptor = os.pidfd_open(process)
     except ProcessLookupError:

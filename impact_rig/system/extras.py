@@ -22,12 +22,12 @@ from impact_rig.errors import ImpactRigError
 
 
 def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names a type checker cannot know
-    """Import a library of an extra, or a module of this project that needs one.
+    """Import an optional library, or a module of this project that needs one, and return the module.
 
     Args:
-        module: name of the module.
-        purpose: feature that needs it, for the message.
-        extra: name of the extra in `setup.py`.
+        module: full name of the module.
+        purpose: feature that needs the library, with which the message begins.
+        extra: name of the extra in `setup.py` that installs the library, such as `tables`.
 
     Raises:
         ImpactRigError: a library is not installed; the message has the command that installs it.
@@ -36,11 +36,11 @@ def load(module: str, purpose: str, extra: str) -> Any:  # a module, whose names
 
 
 def load_ros(module: str, purpose: str) -> Any:
-    """Import a module of this project that needs ROS 2.
+    """Import a module of this project that needs ROS 2, and return the module.
 
     Args:
-        module: name of the module.
-        purpose: feature that needs it, for the message.
+        module: full name of the module.
+        purpose: feature that needs ROS 2, with which the message begins.
 
     Raises:
         ImpactRigError: ROS 2 is not installed; the message has the commands that provide it.

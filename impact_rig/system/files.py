@@ -14,11 +14,12 @@
 """Safe files in directories that other users can write to: only regular files are read, and no link is written through.
 
 Reading follows links, but never blocks (a FIFO has no writer), never runs on (a device has no end) and stops at a
-limit. Writing creates a new file and moves it into place when it is complete, so it never follows a link or file that
-another user created under that name. The next write removes what a killed process left behind.
+limit. Writing creates a new file and moves it into place when it is complete, so it never writes into a link or file
+that another user created under that name. If a process is killed while it writes, its partial file remains until the
+next write of the same path removes it.
 
 A lock is held by one process of this machine at a time and is released when the process ends, for whatever reason. Its
-file is in a directory of this user; the file itself stays and has no meaning.
+file is in a directory of this user and stays there: that the file exists does not mean that the lock is held.
 
 The package's own files: a checkout has `config/` and `launch/` next to the package. pip, colcon and Debian put them in
 `share/impact_rig` of the prefix that holds the package (`<prefix>/lib/python3.x/site-packages/impact_rig`). No
@@ -57,7 +58,7 @@ def open_regular(path: Path) -> int:
     """Return a descriptor of a regular file, open for reading.
 
     Raises:
-        OSError: the file cannot be opened, or is a directory, FIFO, socket or device, also behind a link.
+        OSError: the file cannot be opened. Or it is a directory, FIFO, socket or device, or a link to one.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # do not wait for the writer of a FIFO
     mode = os.fstat(descriptor).st_mode
@@ -73,7 +74,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
     """Return the content of a regular file of at most `limit` bytes.
 
     Raises:
-        OSError: the file cannot be read, is not a regular file, or is larger; a larger file is not read at all.
+        OSError: the file cannot be read, is not a regular file, or is larger than `limit`.
     """
     with os.fdopen(open_regular(path), "rb") as file:
         if os.fstat(file.fileno()).st_size <= limit:
@@ -85,17 +86,17 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 @contextlib.contextmanager
 def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
-    """Yield a new file, open for writing, and move it to `path` after the block.
+    """Yield a new file, open for writing, and move it to `path` at the end of the `with` block.
 
-    If the block fails, nothing is left. An existing file or link is replaced (the link itself, not its target); with
-    `replace=False` it is kept.
+    If the block raises an error, the new file is removed and `path` stays as it was.
 
     Args:
         path: path of the file.
-        replace: whether an existing file may be replaced.
+        replace: whether to replace an existing file or link (the link itself, not its target). Otherwise an existing
+            one stays, and the end of the block raises FileExistsError.
 
     Raises:
-        OSError: the file cannot be created or moved; FileExistsError if it must not replace an existing one.
+        OSError: the file cannot be created or moved.
     """
     descriptor, partial = _create_partial(path)
     try:
@@ -113,7 +114,10 @@ def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
 
 
 def _create_partial(path: Path) -> tuple[int, Path]:
-    """Create the file that becomes `path`, locked while this process writes it; replace one left by a killed process.
+    """Create and lock the file that is moved to `path` later, and return its descriptor and present path.
+
+    A file of the same purpose that a killed process left behind is removed. While another process writes its own, this
+    one gets a random name.
 
     Raises:
         OSError: the file cannot be created.
@@ -160,7 +164,10 @@ def write_json(path: Path, content: object) -> None:
 
 
 def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table as CSV: numbers read back as the same doubles, NaN becomes an empty cell, texts are never formulas.
+    """Write a table as CSV, completely or not at all; an existing file is replaced.
+
+    Numbers are exact, so that reading them back gives the same doubles. NaN becomes an empty cell. A text that a
+    spreadsheet would run as a formula gets an apostrophe in front.
 
     Raises:
         OSError: the file cannot be written.
@@ -176,10 +183,11 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 
 @contextlib.contextmanager
 def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
-    """Prepare a directory for results and yield the return value of `prepare`.
+    """Call `prepare`, which creates a directory for results, and yield its return value to the `with` block.
 
-    If `prepare` fails, or the block before it has added a file, a directory that did not exist before is removed: it
-    would look like a result, and would block the next attempt.
+    If `prepare` raises an error, or the block raises one before it has added a file to the directory, the directory is
+    removed, unless it existed before. Otherwise it would look like a result, and the next attempt would refuse to write
+    into it.
 
     Args:
         directory: the directory that `prepare` creates.
@@ -198,15 +206,16 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
 
 @contextlib.contextmanager
 def staged(directory: Path) -> Iterator[Path]:
-    """Yield a temporary folder for results, and move its content to `directory` after the block.
+    """Yield a temporary folder for results, and move its content to `directory` at the end of the `with` block.
 
-    If the block fails, nothing is left, so the next attempt is not refused for files of this one.
+    If the block raises an error, the temporary folder is removed and `directory` stays as it was, so that the next
+    attempt does not meet files of this one.
 
     Args:
         directory: existing or new directory; nothing in it is replaced.
 
     Raises:
-        OSError: it cannot be written, or has received content of the same name in the meantime.
+        OSError: `directory` cannot be written, or contains a file of the same name as a result.
     """
     directory = Path(os.path.abspath(directory))  # noqa: PTH100  # `resolve` would follow a link
     parent = directory if directory.is_dir() else directory.parent
@@ -232,7 +241,8 @@ def staged(directory: Path) -> Iterator[Path]:
 def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to types that JSON has, for output that other programs read.
 
-    NaN and infinite numbers become None, NumPy's values plain ones, bytes text, and values of unknown types their text.
+    NaN and infinite numbers become None, values of NumPy plain numbers and lists, bytes text, and values of all other
+    types the text that `str` gives.
     """
     if isinstance(value, (bool, int, str)) or value is None:
         return value
@@ -251,9 +261,9 @@ def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
 
 @contextlib.contextmanager
 def translate_errors(what: str) -> Iterator[None]:
-    """Turn an `OSError` in the block into a `RecordingError`: the text `what`, which says what failed, and the reason.
+    """Turn an `OSError` in the `with` block into a `RecordingError` with the message "`what`: reason of the system".
 
-    A `RecordingError` passes unchanged.
+    `what` says what failed, such as `cannot read FILE`. A `RecordingError` in the block passes unchanged.
     """
     try:
         yield
@@ -264,18 +274,18 @@ def translate_errors(what: str) -> Iterator[None]:
 
 
 def free_path(path: Path) -> Path:
-    """Return `path`, or if it exists the first free one of `path_2`, `path_3`, ...
+    """Return `path`, or if it exists the first of `path_2`, `path_3`, … that does not exist.
 
-    So two runs whose names contain the same second get different directories.
+    Two runs that are named after the same second thus get different directories.
     """
     numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
     return next(found for found in itertools.chain([path], numbered) if not found.exists())
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder, with its parents, within a directory of results if needed; never write through a link.
+    """Create a folder for results and its parents, if it does not exist yet, and refuse a link in its place.
 
-    Another user with access to the directory could have created a link under the folder's name, to a place that only
+    Another user with access to the parent could have created a link with the folder's name, to a directory that only
     this user may write to.
 
     Raises:
@@ -288,10 +298,10 @@ def make_folder(path: Path) -> None:
 
 
 def state_dir(name: str) -> Path:
-    """Return a folder for the program's data of this user between runs; create it if needed.
+    """Return the folder `impact_rig/<name>` for data that a program keeps between its runs, created if needed.
 
-    If the user's folder of states (`XDG_STATE_HOME`, else `~/.local/state`) cannot be written, a new temporary one is
-    returned.
+    Its parent is `XDG_STATE_HOME`, else `~/.local/state`. If the folder cannot be written, a new temporary folder is
+    returned instead, whose data the next run does not find.
     """
     base = os.environ.get("XDG_STATE_HOME")
     with contextlib.suppress(OSError, RuntimeError):  # no home directory
@@ -303,10 +313,10 @@ def state_dir(name: str) -> Path:
 
 
 def refuse_foreign(directory: Path) -> None:
-    """Reject a directory, or a link to one, that belongs to another user: the owner can change its content.
+    """Raise an error if a directory, or a link to it, belongs to another user, who could change its content.
 
     Raises:
-        PermissionError: another user owns it; the message names that user.
+        PermissionError: another user owns it; the message has the id of that user.
     """
     owners = {directory.stat().st_uid, directory.lstat().st_uid} - {os.geteuid()}
     if owners:
@@ -315,7 +325,7 @@ def refuse_foreign(directory: Path) -> None:
 
 
 def _put(partial: Path, path: Path) -> None:
-    """Move a file to a path that must not exist, not even as a dangling link."""
+    """Move a file to a path that must not exist, not even as a dangling link; raise FileExistsError if it exists."""
     try:
         os.link(partial, path)
     except FileExistsError:
@@ -326,11 +336,11 @@ def _put(partial: Path, path: Path) -> None:
 
 
 LOCK_PARENTS = tuple(map(Path, ("/dev/shm", "/run/lock", "/var/tmp", "/tmp")))  # noqa: S108  # 0700 folders
-"""Candidates for the parent of the directory of locks; the first usable one is taken.
+"""Directories in which the directory of locks can be; the first one in which it can be used is chosen.
 
 No environment variable decides, because all programs of a user on one machine must find the same locks.
 """
-PLACES = "impact_rig_places"  # folder of the locks on namespaces of the graph
+PLACES = "impact_rig_places"  # folder of the locks by which rigs reserve a ROS domain and namespace
 
 
 def place(domain_id: int, namespace: str) -> str:
@@ -342,10 +352,12 @@ def place(domain_id: int, namespace: str) -> str:
 
 
 def hold(folder: str, name: str) -> int | None:
-    """Acquire a lock and return the descriptor that holds it until closed; None if any process holds it already.
+    """Acquire a lock and return the descriptor that holds it until closed; None if it is held already.
+
+    The holder may be another process or this one.
 
     Args:
-        folder: folder of its file, within `lock_directory`.
+        folder: folder of the lock's file, within `lock_directory`.
         name: name of the lock, used in the file name.
 
     Raises:
@@ -364,10 +376,10 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is certainly held by a process that did not acquire it with `hold`.
+    """Return whether a lock is certainly held by a process that did not acquire it with `hold`, so by no rig.
 
-    Such a lock does not mean that a rig runs. `hold` writes the id of its process into the file, which is compared with
-    that of the holder.
+    `hold` writes the id of its process into the lock's file; here it is compared with the id of the process that holds
+    the lock according to the system. The result is False if the holder is unknown, for example in another container.
     """
     holding = holder(folder, name)
     if not holding:  # the lock is free, or its holder is in another container
@@ -401,7 +413,7 @@ def holder(folder: str, name: str) -> int | None:
 
 
 def can_hold(folder: str, name: str) -> bool:
-    """Return whether `hold` can tell if a lock is free, because the lock's file can be opened or created."""
+    """Return whether the file of a lock can be opened or created, so that `hold` can find out if the lock is free."""
     try:
         os.close(_open(folder, name))
     except OSError:
@@ -415,7 +427,7 @@ def lock_directory() -> Path:
     No other user can open its files, so no other user can hold a lock or create a link there.
 
     Raises:
-        OSError: no candidate of `LOCK_PARENTS` can be used; file name and reason of the error are those of the last.
+        OSError: the directory cannot be used in any of `LOCK_PARENTS`. The error has path and reason of the last one.
     """
     problem = OSError(errno.ENOENT, os.strerror(errno.ENOENT), str(LOCK_PARENTS))
     for parent in LOCK_PARENTS:
@@ -473,9 +485,10 @@ def config_dir() -> Path:
 
 
 def reason_unreadable(error: OSError, path: Path) -> str:
-    """Return a text for users: why a file cannot be read, and its path.
+    """Return a text for users that says why a file cannot be read, with its path.
 
-    For a relative path that does not exist, the text also names the package's own file of that name, if there is one.
+    For a relative path that does not exist, the text also names the file with this path in the package, such as
+    `config/nominal.yaml`, if there is one.
     """
     text = f"{error.strerror} ({path})"
     if isinstance(error, FileNotFoundError) and not path.is_absolute():

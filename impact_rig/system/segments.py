@@ -11,15 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Repair of shared-memory segments that a killed process left half created: all other processes would wait forever.
+"""Repair of shared-memory segments that a killed process left half created, for which others would wait forever.
 
 Fast DDS opens the port of a peer through Boost, which creates the segment if it is missing, and waits without limit
-while another process creates it. Meanwhile it holds a lock that every message of the process needs. A process killed
-between creating the file and finishing its first word therefore blocks all processes that send to that port or start
-there. This was observed in Fast DDS 2.14, in the stacks of three processes that waited for one empty file. Fast DDS
-itself discards and recreates a segment that is marked as corrupt.
+while another process creates it. While it waits, it holds a lock that every message of its process needs. If a process
+is killed between creating the file and finishing its first word, all processes that send to that port, or start and
+open it, therefore wait forever. This was observed in Fast DDS 2.14, in the stacks of three processes that waited for
+one empty file. Fast DDS itself discards and recreates a segment that is marked as corrupt.
 
-A starting process may wait with Python's lock held and cannot check any more, so it checks before.
+A process that waits during its start may hold Python's interpreter lock, so that no thread of it can repair the segment
+any more. `Watch` therefore checks once when it is entered, before Fast DDS starts.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ from impact_rig.system.endings import block_signals
 
 SHARED = Path("/dev/shm")  # noqa: S108  # directory of ports and segments of Fast DDS on Linux
 POLL_S = 1.0
-"""Interval between two checks [s]. Creating a segment takes a fraction of a millisecond.
+"""Interval between two checks [s]. To create a segment takes a fraction of a millisecond.
 
-So if a segment is half created in two checks, the process that created it was killed.
+If a segment is half created in two successive checks, the process that created it must therefore have been killed.
 """
 PORTS = ("fastrtps_port", "fastdds_port")
 """Beginnings of the names of ports: of Fast DDS 2, and of Fast DDS 3 (ROS 2 Kilted)."""
@@ -85,14 +86,14 @@ class Watch:
 
 
 def invalidate_abandoned_segments(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """Mark as corrupt the shared-memory segments that are half created and were so at the last check.
+    """Mark the shared-memory segments that are half created now and were half created at the last check as corrupt.
 
     Args:
         directory: directory of the segments.
         before: result of the last check.
 
     Returns:
-        Name and inode of all half-created segments, for the next check.
+        Name and inode of all segments that are half created now, for the next check.
 
     Raises:
         OSError: the directory cannot be read.
