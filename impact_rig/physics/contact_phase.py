@@ -97,10 +97,11 @@ def _force_and_slope(
 def _excess(
     p: Record, law: CompiledForce, s: Record, step: Record, event: int, at: tuple[float, float, float]
 ) -> float:
-    """Return how far a point of a contact's step is beyond an event, on the event's own scale; at most 0 before it.
+    """Return how far a point of a contact's step is beyond an event, as a multiple of the event's own scale.
 
-    The point is `at` = (time since the start of the step [s], w, δ'), with w the square root of the indentation δ. If
-    `step.time_left` is infinite, PAUSED has the excess NaN, which never counts as beyond.
+    The value is at most 0 if the point is before the event or the law has no such event. The point is `at` = (time
+    since the start of the step [s], w, δ'), with w the square root of the indentation δ. If `step.time_left` is
+    infinite, the value for PAUSED is NaN, which never counts as beyond.
     """
     since, w, speed = at
     if event == SEPARATED:
@@ -197,10 +198,10 @@ def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) 
 def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
     """Shorten the step solved last to the first event that it passed; return that event, NOTHING or FAILED.
 
-    After FAILED the caller tries a shorter step. A step that ends at an event must be as exact as any other step, and
-    must touch the wall all the way. Near the end of a contact, and where the acceleration jumps, the equations of a
-    long step have a second, false solution: the indentation and the time collapse at once, or pass through zero and
-    return.
+    NOTHING means that the step passed no event. FAILED means that the shortened step is not exact enough, or that the
+    solution is false; the caller then tries a shorter step. In a true solution the sphere touches the wall during the
+    whole step. Near the end of a contact, and where the acceleration jumps, the equations of a long step have a second,
+    false solution: the indentation and the time collapse at once, or pass through zero and return.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -219,12 +220,13 @@ def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 
 @kernel
 def _limit_length(s: Record, step: Record) -> float:
-    """Return the proposed length of a step, reduced to where its polynomials are valid and to a safe part of the way.
+    """Return the length in χ for the next step: `s.next_h`, or less if its polynomials would not be valid for so long.
 
-    While the sphere rests on the wall, the indentation falls as the two-thirds power of the time left to the lift-off.
-    The lift-off is estimated as the zero of a_r, the acceleration that presses sphere and wall together. Polynomials
-    follow that fall over a part of this time only, and an error that a longer step makes in the slow motion rings
-    through all later steps. A step need not be shorter than some radians of the contact's own vibration.
+    The length is also limited to a part of the time until a resting sphere lifts off. Until then the indentation falls
+    as the two-thirds power of the time that is left. The lift-off is estimated as the zero of a_r, the acceleration
+    that presses sphere and wall together. Polynomials follow this fall over a part of the time only, and an error that
+    a longer step makes in the slow motion rings through all later steps. This second limit is never shorter than some
+    radians of the contact's own vibration.
     """
     if not s.w > 0.0:
         return s.next_h
@@ -296,9 +298,10 @@ def dissipated(step: Record, h: float) -> float:
 
 @kernel
 def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force: bool) -> float:
-    """Return the place of the largest force, or else of the largest indentation, in the solved step: a part 0 … 1.
+    """Return the point of the solved step at which the force, if `of_force`, or else the indentation is largest.
 
-    It is found by bisection of the slope of the step's dense output, the polynomial through its stages.
+    The result is a part of the step's length in χ: 0 is its start and 1 its end. It is found by bisection, as the zero
+    of the slope of the dense output, the polynomial through the step's stages.
     """
     low, high = 0.0, 1.0
     while high - low > _PEAK_FOUND:
@@ -317,9 +320,10 @@ def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force:
 def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Raise `s.peak_force` [N] and `s.deepest_w` [m^0.5] to the largest values in the step, also between its stages.
 
-    For a maximum between stages, a step is solved that ends where the polynomial predicts it; the remaining error is of
-    second order. If all stages are well below an earlier peak, so is the step, and nothing is solved. The steps of a
-    law with a memory end at their deepest point.
+    For a maximum between stages, another step is solved that ends where the polynomial through the stages predicts the
+    maximum; the remaining error is of second order. If all stages are well below an earlier peak, the whole step is
+    below it, and nothing is solved. The steps of a law with a memory end at the largest indentation, so only the peak
+    of the force is searched within them.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))
@@ -395,11 +399,12 @@ def conclude(p: Record, s: Record, step: Record, ended: int, t_end: float) -> No
 
 @kernel
 def settles(p: Record, law: CompiledForce, s: Record, step: Record) -> bool:
-    """Return whether a contact at a turning point only rings about its rest position, slower than `speed_floor`.
+    """Return whether a contact at its largest indentation only rings about its rest position, below `speed_floor`.
 
-    Only contacts of a law with a memory are asked; if true, the sphere then moves with the superior base as one body.
-    The ringing has the speed amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. Up to three times the
-    pressing acceleration, a hop is as short as a period of the ringing, so it counts as ringing and not as flight.
+    The caller asks this only for a law with a memory; if true, the sphere then moves with the superior base as one
+    body. The speed of the ringing has the amplitude |δ''| / ω_c, with ω_c the contact's own frequency [rad/s]. A
+    ringing that lifts the sphere off the wall counts, too, up to |δ''| = 3 times the acceleration that presses sphere
+    and wall together: such a hop takes no longer than a period of the ringing.
     """
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, turned_at(s), s.w, s.speed, step)
     pressing = step.acceleration[0]  # a_r at the start of the step, which hardly changes within one
@@ -422,8 +427,8 @@ def t_0_of(p: Record, speed: float) -> float:
 def first_length(p: Record, speed: float, acceleration: float) -> float:
     """Return the length in χ [s/m^0.5] for the first step of a contact that begins with the speed v0 = `speed` [m/s].
 
-    It is a part of √(time/v0). The time is the shorter of two: the contact's time scale `t_0_of`, and v0 over the
-    `acceleration` [m/s²] with which the columns press sphere and wall together.
+    The length is 0.2 √(time/v0). The time is the shorter of two: the contact's time scale `t_0_of`, and v0 over the
+    magnitude of the `acceleration` [m/s²] with which the columns press sphere and wall together.
     """
     scale = min(t_0_of(p, speed), speed / max(abs(acceleration), _SMALLEST))
     return _FIRST_LENGTH * math.sqrt(scale / speed)

@@ -85,11 +85,11 @@ _AMPLE = 4.0  # the terms are chosen before the length is known, for this many t
 
 @kernel
 def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
-    """Fill `step.path` and `step.acceleration` with Taylor coefficients in time about the state s, drive included.
+    """Fill `step.path` and `step.acceleration` with Taylor coefficients in time about the state s under the drive f.
 
-    `path` is the motion of sphere and superior base as one body (the pair), of inferior base and coil; `acceleration`
-    is a_r, which presses sphere and wall together. The expected length of the step determines how many terms are used,
-    `step.terms`, and for how long they hold, `step.valid_for` [s].
+    `path` is the motion of sphere and superior base as one body (the pair), of the inferior base and of the coil's
+    current; `acceleration` is a_r, which presses sphere and wall together. The expected length of the step determines
+    the number of terms, `step.terms`, and the time [s] for which they are exact to rounding, `step.valid_for`.
     """
     path = step.path
     fastest = max(p.fastest, f.omega)
@@ -129,7 +129,7 @@ def expand(p: Record, f: DriveSegment, s: Record, step: Record) -> None:
 
 @kernel
 def polynomial(coefficients: Reals, since: float, terms: int) -> float:
-    """Return the sum of the first `terms` of a Taylor polynomial, `since` seconds after its point of expansion."""
+    """Return the value of a Taylor polynomial with `terms` terms, `since` seconds after its point of expansion."""
     total = coefficients[terms - 1]
     for n in range(terms - 2, -1, -1):
         total = total * since + coefficients[n]
@@ -148,9 +148,9 @@ def pair_at(step: Record, since: float, y: Reals) -> None:
 
 @kernel
 def _integrate(step: Record, place: int, h: float) -> None:
-    """Fill the correction z of one entry of y at the stages, by integrating its slopes dz/dχ over the step.
+    """Fill the correction z of one entry of the structural state y at the stages, by integrating its slopes dz/dχ.
 
-    `place` is the index in y, and h the step's length in χ.
+    `place` is the index of the entry in y, and h the step's length in χ. The slopes are `step.correction_slope`.
     """
     slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
@@ -207,7 +207,7 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 def keep_dense_output(s: Record, step: Record) -> None:
     """Store the dense output of the step of length `s.h` from s: the polynomial δ'(x) through its start and stages.
 
-    It predicts the next step for Newton's method, and the place of events and instants within this one.
+    It predicts the speeds of the next step for Newton's method, and where events and given instants lie in this step.
     """
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
@@ -311,11 +311,12 @@ def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
     All are stored in `step`, which `expand` must have filled about s.
 
-    The speeds of a step may be wrong by a part of the contact's own speeds: δ', and δ times its natural frequency.
-    Where the sphere rests on the wall these are tiny. The error may then be the same part of a tenth of the speed that
-    a_r, the acceleration which presses sphere and wall together, gives in a radian of the fastest motion of structure
-    or drive. Newton's method never uses this second limit: instruments solve steps again from another prediction, and
-    must find the same result.
+    The allowed error of the speeds, `step.tolerance`, is `rtol` times the contact's own speed: the largest of |δ'|, δ
+    times the contact's natural frequency, and a thousandth of `speed_floor`. Where the sphere rests on the wall, this
+    speed is tiny. The tolerance is then `rtol` times a tenth of another speed: that which a_r, the acceleration that
+    presses sphere and wall together, gives within one radian of the fastest motion of structure or drive. The goal of
+    Newton's method, `step.goal`, depends on the contact's own speed only: instruments solve steps again from another
+    prediction, and must find the same result.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
@@ -347,7 +348,7 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def _evaluate_acceleration(p: Record, step: Record) -> None:
-    """Fill a_r, which presses sphere and wall together, at the stages, with the part of the correction z."""
+    """Fill in a_r, which presses sphere and wall together, at the stages, with the part due to the correction z."""
     for i in range(STAGES):
         step.acceleration_at[i] = step.acceleration[step.terms - 1]
     for n in range(step.terms - 2, -1, -1):
@@ -360,7 +361,10 @@ def _evaluate_acceleration(p: Record, step: Record) -> None:
 
 @kernel
 def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
-    """Fill force and slope dδ'/dχ at the stages, and the slope's derivatives by w and δ' at a given a_r."""
+    """Fill in the force and the slope dδ'/dχ at the stages, and the derivatives of this slope by w and by δ'.
+
+    The acceleration a_r, which presses sphere and wall together, counts as constant in these derivatives.
+    """
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
@@ -423,9 +427,9 @@ def _invert_newton(step: Record) -> None:
 
 @kernel
 def _newton_step(s: Record, step: Record, h: float) -> float:
-    """Make one Newton step for the speeds δ' at the stages; return the largest change [m/s].
+    """Improve the speeds δ' at the stages by one step of Newton's method; return the largest change of a speed [m/s].
 
-    It is infinite if a change is not finite, after which the caller gives up this length.
+    If a change is not finite, the result is infinity, and the caller tries another length of the step.
     """
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
@@ -448,10 +452,11 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
     """Solve the equations of a step of length h from s; return whether Newton's method converged within `rounds`.
 
-    The solution is stored in `step`; the last stage is the end of the step. Where a sphere rests on the wall until
-    a_r(t), which presses it there, lifts it off, a_r determines the indentation, and Newton's method adds the
-    derivative of a_r(t) after FEW_ROUNDS. Only a step of fixed length gets as many as ROUNDS; a step of free length is
-    shortened instead. Forces and slopes at the stages belong to the speeds before Newton's last change.
+    The solution is stored in `step`; the last stage is the end of the step. While a sphere rests on the wall, a_r(t),
+    the acceleration that presses it there, determines the indentation. So after FEW_ROUNDS Newton's method uses the
+    derivative of a_r(t) as well. A caller that may shorten the step passes FEW_ROUNDS and shortens it on a failure;
+    only steps of a fixed length get all ROUNDS. The stored forces and slopes at the stages belong to the speeds before
+    Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0
@@ -483,9 +488,10 @@ def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, roun
 def estimate_error(step: Record, h: float) -> float:
     """Return the estimated error of the step solved last as a multiple of the allowed one, `step.tolerance`.
 
-    The stages' slopes, extrapolated to the start, miss the slope there by an error of order 6 in h. It is filtered so
-    that fast decay counts only as much as it is visible (Hairer & Wanner, section IV.8). The step itself is of order 9
-    where it is not stiff. There the estimate is reduced, by less the stiffer the contact is.
+    The estimate is the difference between the slope at the start and the stages' slopes extrapolated to the start. It
+    is of order 6 in the length h. The difference is filtered, so that a motion which decays within the step hardly
+    counts (Hairer & Wanner, section IV.8). A step that is not stiff is itself of order 9, so the estimate is too large
+    for it and is divided by a factor; the stiffer the contact, the smaller the factor.
     """
     defect = step.start_speed_slope
     for j in range(STAGES):
@@ -503,8 +509,8 @@ def estimate_error(step: Record, h: float) -> float:
 
 @kernel
 def next_length(h: float, error: float) -> float:
-    """Return the length for the next step, or for another attempt, after one of length h: from 0.1 h to 4 h.
+    """Return the length for the next step, or for another attempt at this one, after a step of length h: 0.1 h to 4 h.
 
-    `error` is what `estimate_error` returned: its estimated error as a multiple of the allowed one.
+    `error` is the result of `estimate_error` for the step of length h: its error as a multiple of the allowed one.
     """
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

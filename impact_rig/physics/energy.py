@@ -42,10 +42,10 @@ _FORGOTTEN = 50.0  # e-foldings after which a mode needs no panels of its own
 
 @kernel
 def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, ledger: Record) -> None:
-    """Add to the energies in `ledger` [J] the powers of drive, columns and shaker at t, times `weight` [s].
+    """Add to the energies in `ledger` [J] the powers of drive, columns and shaker at one instant t, times `weight` [s].
 
-    A quadrature calls this for each of its points t, in seconds since the start of the segment f. y is the structural
-    state at t; the motion of a prescribed base is computed from the drive instead.
+    A quadrature calls this for each of its points t, in seconds since the start of the drive segment f. y is the
+    structural state at t. The motion of a prescribed base is not in y, and is computed from the drive.
     """
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])

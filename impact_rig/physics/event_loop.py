@@ -96,7 +96,7 @@ from impact_rig.physics.state import (
 
 DONE, NEED_ROOM, STUCK, UNSOLVED = range(4)
 """Results of `run`. DONE: all segments are simulated. NEED_ROOM: call again with more room for the history or the
-impacts. STUCK: the motion makes no progress. UNSOLVED: a step of a contact has no solution.
+impacts. STUCK: ten million events did not reach the end of a segment. UNSOLVED: a step of a contact has no solution.
 """
 
 _SPEED_RESOLUTION = 2.0**-48
@@ -112,7 +112,7 @@ class Workspace(NamedTuple):
     """Arrays on which the event loop works: the current state, its scratch memory, and the history that it fills.
 
     Attributes:
-        states: two records of STATE: the current state, and a copy with which a contact is followed separately.
+        states: two records of STATE: the current state, and a copy with which `account_contact` follows a contact.
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER: energies, which the loop adds to.
@@ -138,9 +138,9 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 
 
 def new_workspace(states: int, impacts: int) -> Workspace:
-    """Return a workspace at rest, with room for `states` rows of history and for `impacts` impacts.
+    """Return a workspace whose state is zero, with room for `states` rows of history and for `impacts` impacts.
 
-    The caller must replace `first_state` and `first_segment` by arrays with room for its segments.
+    The caller must replace `first_state` and `first_segment` by arrays with one element more than it has segments.
     """
     return Workspace(
         records(2, STATE),
@@ -185,7 +185,7 @@ def _hold(s: Record, d: float, side: float) -> None:
 
 @kernel
 def _least_speed(p: Record, s: Record) -> float:
-    """Return the least relative speed with which a sphere parts from the superior base [m/s].
+    """Return the least speed, relative to the superior base, with which a sphere parts from that base [m/s].
 
     It is `touch_speed`, or the rounding error of the superior base's speed if that is larger.
     """
@@ -194,10 +194,10 @@ def _least_speed(p: Record, s: Record) -> float:
 
 @kernel
 def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
-    """Release a sphere that moves with the superior base, in the direction `way` (−1 or 1) and with the least speed.
+    """Release a sphere that moves with the superior base, so that it flies in the direction `way`: −1 left, 1 right.
 
-    The momentum of both together does not change. The energy that this adds counts in `ledger` as a negative contact
-    loss.
+    It starts with the relative speed of `_least_speed`, and the momentum of both bodies together does not change. The
+    energy that this adds counts in `ledger` as a negative loss in contacts.
     """
     if s.side != 0.0:
         s.dent, s.dent_side = max(0.0, s.side * s.d - p.half_gap), s.side
@@ -209,10 +209,11 @@ def _part(p: Record, s: Record, way: float, ledger: Record) -> None:
 
 @kernel
 def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
-    """Begin a contact with the wall `side` just reached; from here `s.y` holds sphere and superior base as one body.
+    """Begin a contact with the wall that the sphere has just reached: `side` is −1 for the left, 1 for the right wall.
 
-    A slower touch gets the approach speed `touch_speed`; the energy that this adds counts in `ledger` as a negative
-    loss of the contact.
+    From here on `s.y` holds the centre of mass of sphere and superior base. If the sphere approaches the wall more
+    slowly than `touch_speed`, the contact begins with that speed. The energy that this adds counts in `ledger` as a
+    negative loss of the contact.
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)
@@ -232,8 +233,8 @@ def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
 def _keep_impact(work: Workspace, s: Record, separation: float, indentation: float) -> None:
     """Append the finished contact of the state s to the impacts of the workspace.
 
-    `separation` is the relative speed at its end [m/s], positive away from the wall, and `indentation` the largest one
-    [m].
+    `separation` is the relative speed at the end of the contact [m/s], positive away from the wall, and `indentation`
+    its largest indentation [m].
     """
     row = work.impacts[work.counts[0].impacts]
     row.tick, row.offset, row.wall = s.touch_tick, s.touch_offset, int(s.side)
@@ -247,8 +248,9 @@ def _keep_impact(work: Workspace, s: Record, separation: float, indentation: flo
 def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
     """End a contact: append its impact, and let the sphere fly on or, if `settled`, stay on the wall in phase ATTACHED.
 
-    `s.y` then holds the motion of the superior base again, instead of that of sphere and base as one body. The energy
-    that the contact still stores is lost: it relaxes or, if `settled`, rings out.
+    From here on `s.y` holds the motion of the superior base again, instead of that of the centre of mass of both
+    bodies. The elastic energy that the contact still stores counts as lost: the wall relaxes without the sphere or, if
+    `settled`, the ringing dies out.
     """
     p, depth, side = model.parameters[0], s.w * s.w, s.side
     if depth > 0.0:
@@ -271,11 +273,11 @@ def _leave(model: Model, s: Record, work: Workspace, settled: bool) -> None:
 def _bounce(
     p: Record, s: Record, side: float, pair_acceleration: float, position_rounding: float, work: Workspace
 ) -> None:
-    """Reverse the relative speed at a rigid wall, or attach a sphere that no longer bounces off a pressing wall.
+    """Let the sphere rebound from a rigid wall with e times its relative speed, or attach it to the wall.
 
-    The sphere stays if the wall presses it, by the `pair_acceleration` [m/s²] that both would have as one body, and its
-    rebound would not be faster than `least_rebound`. The rounding of the positions, `position_rounding` [m], would undo
-    a lower bounce, over and over.
+    It is attached if the wall would press it, judged by the `pair_acceleration` [m/s²] that sphere and superior base
+    would have as one body, and if the rebound would not be faster than `least_rebound`. A slower rebound would be lower
+    than the rounding of the positions, `position_rounding` [m], so the sphere would touch again at once, without end.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
@@ -317,8 +319,8 @@ def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, 
 def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
     """Complete a contact that has just begun, by its outcome in the law's table; return whether that was possible.
 
-    If it was not, the caller integrates the contact in steps. If `account`, the contact is followed in steps as well,
-    for the work of the drive.
+    If the result is false, nothing has been done, and the caller integrates the contact in steps. If `account` is true,
+    a copy of the state is also integrated in steps, but only to compute the work of the drive and the losses.
     """
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]
@@ -343,8 +345,9 @@ def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: floa
 def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledger: Record) -> None:
     """Add to `ledger` the drive's work and the losses in columns and shaker during the contact that begins at s.
 
-    The contact is followed step by step to its end, and s is moved there. This serves contacts whose outcome comes from
-    the table. A step that fails ends it.
+    The contact is integrated step by step, and s is moved to its end. This is used for contacts whose outcome comes
+    from the table, in which these energies are not stored. If a step has no solution, the rest of the contact is left
+    out.
     """
     drop_dense_output(step)
     for _ in range(_STEPS):
@@ -359,9 +362,10 @@ def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledg
 
 @kernel
 def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Continue a contact until its next event or `t_end`; return the event, PAUSED, or FAILED if there is no solution.
+    """Advance a contact to the event that ends it, or to `t_end`; return the event, PAUSED, or FAILED if unsolvable.
 
-    It is PAUSED before `t_end`, the end of the drive segment, if the number of steps in one call is exceeded.
+    `t_end` is the end of the drive segment, since its start [s]. The result is also PAUSED, before `t_end`, after the
+    largest number of steps in one call; the caller then calls again.
     """
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):
@@ -427,10 +431,10 @@ def _change_phase(model: Model, f: DriveSegment, work: Workspace, tick: int, end
 
 @kernel
 def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float, fresh: bool) -> None:
-    """Prepare the part of a flight that the drive causes, unless the one prepared last still holds.
+    """Prepare the part of a flight's motion that the drive causes, unless the part prepared last is still valid.
 
-    That is so while drive frequency and linear system are the same, and the segment is not new (`fresh`). `t_end` is
-    the end of the segment [s].
+    It is valid within one drive segment, while the linear system is the same (sphere loose or attached). `fresh` is
+    true for the first flight in a segment, and `t_end` is the end of the segment, since its start [s].
     """
     flight = work.flight[0]
     renewed = choose_system(model, f, work.states[0], flight)
@@ -440,9 +444,10 @@ def _prepare_flight(model: Model, f: DriveSegment, work: Workspace, t_end: float
 
 @kernel
 def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: bool) -> None:
-    """Set a prescribed base to where the drive segment f begins; in a jump, the springs of the columns absorb the work.
+    """Set position and velocity of a prescribed base to those with which the drive segment f begins.
 
-    That work is added to `ledger` if `account`.
+    If the position jumps there, the base does work on the springs of the columns, which is added to `ledger` if
+    `account` is true.
     """
     x_b_before = s.y[XB]
     s.y[XB], s.y[VB] = drive(f, 0.0)
@@ -457,10 +462,11 @@ def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: b
 def run(
     model: Model, segments: Records, first_tick: int, segment: int, work: Workspace, account: bool
 ) -> tuple[int, int]:
-    """Advance the state through `segments[segment:]`; return (DONE or why it stopped, index of the segment it is in).
+    """Simulate the drive segments from index `segment` on; return (DONE or why it stopped, index of the last segment).
 
-    After DONE the index is the number of segments; after NEED_ROOM, call again with it and a larger workspace.
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, regardless of `segment`.
+    The index is that of the segment in which the simulation stopped, or the number of segments after DONE. After
+    NEED_ROOM, call again with this index and a larger workspace.
+    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, also if `segment` is not 0.
 
     Work, and losses outside the contacts, are computed only if `account` is true; this costs as much as the flights.
     """

@@ -165,8 +165,8 @@ def resolve(system: Record, omega: float, vector: Complexes, out: Complexes) -> 
 def frequency_response(system: Record, omega: float, flight: Record) -> None:
     """Fill `flight.answer` (H) and `flight.growth_answer` (G) at the angular frequency `omega` [rad/s].
 
-    H is the complex amplitude of the state y per unit of a steady drive. G is what a growing amplitude adds per unit of
-    its growth rate B: see P in the module.
+    H is the complex amplitude of the structural state y per unit of a drive of constant amplitude. G is what a growing
+    amplitude adds to the amplitude of y, per unit of the growth rate B: P = A e^{jφ} H + B e^{jφ} G.
     """
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it
@@ -189,9 +189,10 @@ def particular(system: Record, f: DriveSegment, flight: Record) -> None:
 
 @kernel
 def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
-    """Return a time, at most `longest` [s], within which a point cannot cover `distance` [m, >= 0]: see this module.
+    """Return a time, at most `longest` [s], within which a point certainly does not cover `distance` [m, >= 0].
 
-    `speed` and `acceleration` are those towards the target at present, and `jerk_bound` limits the jerk meanwhile.
+    The docstring of this module explains the method. `speed` and `acceleration` are the present ones towards the
+    target, and `jerk_bound` is a limit of the jerk in either direction during this time.
     """
     half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
@@ -228,10 +229,10 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
 
 @kernel
 def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> bool:
-    """Set `flight.system` to the linear system that moves from s on: that with the sphere loose or attached.
+    """Set `flight.system` to the linear system that moves from the state s on: with the sphere loose or attached.
 
-    Returns whether `flight.answer` and `flight.growth_answer` were computed again, its responses at the frequency of f.
-    They are kept while system and frequency are the same.
+    If that system or the frequency of the drive f has changed, its frequency responses `flight.answer` and
+    `flight.growth_answer` are computed again, and the result is true; otherwise they are kept, and it is false.
     """
     which = SPHERE_ATTACHED if s.phase == ATTACHED else SPHERE_LOOSE
     if f.omega == flight.omega and which == flight.system:
@@ -243,18 +244,18 @@ def choose_system(model: Model, f: DriveSegment, s: Record, flight: Record) -> b
 
 @kernel
 def guide_friction(p: Record, s: Record) -> float:
-    """Return the force of the guide's friction on the superior base [N], 0 in phase ATTACHED.
+    """Return the force of the guide's friction on the superior base [N], positive to the right.
 
-    There it is a force inside the one body.
+    It is 0 in phase ATTACHED, in which sphere and superior base are one body and the friction is a force inside it.
     """
     return 0.0 if s.phase == ATTACHED else s.slide * p.m * p.friction_acceleration
 
 
 @kernel
 def prepare_segment(system: Record, f: DriveSegment, flight: Record, t_end: float) -> None:
-    """Prepare the response to a drive segment and its part in x_1 and each of its derivatives.
+    """Fill in the response of a linear system to the drive segment f, and its part in x_1 and the derivatives of x_1.
 
-    That part also gets a bound until `t_end`, the end of the segment [s].
+    For each of these derivatives, a bound on this part until `t_end`, the end of the segment [s], is stored as well.
     """
     particular(system, f, flight)
     jw = complex(0.0, f.omega)
@@ -275,9 +276,10 @@ def mode_decay(rate: complex, since: float) -> tuple[float, complex]:
 
 @kernel
 def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: float) -> None:
-    """Compute the modes' amplitudes in a flight that begins with the structural state y at t [s].
+    """Compute the amplitudes of the modes in a flight that begins at t with the structural state y.
 
-    Also computed are their parts in x_1 and each of its derivatives, with their moduli as bounds.
+    Also computed is the part of each mode in x_1 and in the derivatives of x_1, with its modulus as a bound. t is the
+    time since the start of the drive segment [s].
     """
     rotor = phasor(f.omega * t)
     flight.t_b = t
@@ -298,9 +300,10 @@ def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: f
 
 @kernel
 def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: int) -> None:
-    """Fill `flight.x_1[order:order + 3]` with those three derivatives of x_1 at t, and bound the next one from t on.
+    """Fill `flight.x_1[order:order + 3]` with the derivatives of x_1 of these three orders at t; order 0 is x_1 itself.
 
-    `flight.bound` is the bound, valid until the end of the segment. Both are used to find the next event.
+    Also set `flight.bound` to a bound on the next higher derivative, valid from t to the end of the segment. The search
+    for the next event uses both.
     """
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
@@ -325,9 +328,9 @@ def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: i
 
 @kernel
 def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
-    """Return the rounding error [m] of a distance to a wall at t: that of the largest terms of x_1, with a margin.
+    """Return the rounding error [m] of a computed distance between sphere and wall at t, with a margin.
 
-    A bounce that is lower than this cannot be computed.
+    It is that of the largest terms of x_1. A bounce that is lower than this cannot be computed.
     """
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):
@@ -360,8 +363,8 @@ def negligible(advance: float, t: float) -> bool:
 def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
     """Return the distance [m] from the sphere at d = x_2 − x_1 to the wall on `side` (−1 left, 1 right), at least 0.
 
-    A wall that let the sphere go while it was indented has its surface further back, until the sphere has left that
-    place.
+    If the last contact with this wall ended at an indentation δ > 0, the wall's surface is further back by that `dent`
+    until the sphere has left the indentation.
     """
     dent = s.dent if s.dent_side == side else 0.0
     return max(0.0, p.half_gap + dent - side * d)
@@ -369,11 +372,12 @@ def wall_distance(p: Record, s: Record, side: float, d: float) -> float:
 
 @kernel
 def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
-    """Advance a flight with a loose sphere from s to its first touch, or to t_end; return TOUCHED, STOPPED or PAUSED.
+    """Advance a flight with a loose sphere from the state s to its first event or to `t_end`, and move s there.
 
-    TOUCHED: the state is the one at the touch, and the distance to the wall `s.side` is zero within rounding; `_touch`
-    and `_bounce` set it exactly. STOPPED: friction has brought the sphere to rest on its guide. PAUSED: `t_end` is
-    reached, in seconds since the start of the segment.
+    Returns TOUCHED, STOPPED or PAUSED. TOUCHED: the sphere touches the wall `s.side`; their distance is zero within
+    rounding, and `event_loop` sets it to zero exactly. STOPPED: friction has brought the sphere to rest on its guide,
+    which moves with the superior base. PAUSED: `t_end` is reached, in seconds since the start of the segment. Without
+    a sphere the result is always PAUSED.
     """
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1
     begin_flight(system, f, flight, s.y, s.t)
@@ -429,11 +433,11 @@ def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t
 
 @kernel
 def fly_attached(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t_end: float) -> int:
-    """Advance sphere and superior base as one body until they part or to t_end; return PARTED or PAUSED.
+    """Advance sphere and superior base as one body until they part (PARTED) or to `t_end` (PAUSED); return which.
 
     `s.side` is the wall that presses the sphere, or 0 if guide friction holds it. They part when the acceleration
-    |x_1''| reaches the friction's limit μ g_0, at a wall only if the wall pulls away. The sphere then moves in the
-    direction of `s.slide` relative to the base.
+    |x_1''| reaches the friction's limit μ g_0 (0 without friction); a sphere at a wall parts only if that wall moves
+    away from it. After PARTED, `s.slide` is the direction, −1 or 1, in which the sphere moves relative to the base.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, PAUSED, flight.x_1

@@ -14,8 +14,9 @@
 """Function generator of the shaker: makes drive segments from commands, phase-continuous and with ramped amplitude.
 
 There is one segment per tick (10 ms) of the command grid; a stream (see `stream`) splits ticks at its samples as well.
-The phase does not depend on how many segments are requested at once. The phase of a sine is computed from the number of
-ticks since the last change of its frequency, so it does not drift. The frequency of a chirp changes in every tick.
+The drive does not depend on how many segments are requested at once. The phase of a sine is computed from the number of
+ticks since the last change of its frequency, so it does not drift. The frequency of a chirp is constant within a tick
+and changes from tick to tick.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ from impact_rig.simtime import COMMAND_GRID_S
 
 
 class Ramp(NamedTuple):
-    """Linear ramp of the amplitude from `initial`, at the start of `first_tick`, to `target`, `ticks` ticks later.
+    """Linear ramp of the drive's amplitude from `initial` to `target`.
 
-    Amplitudes are in A, m or V, by kind of drive; a tick is 10 ms.
+    It begins at the start of tick number `first_tick` and takes `ticks` ticks of 10 ms. Amplitudes are in A, m or V, by
+    kind of drive.
     """
 
     first_tick: int
@@ -54,7 +56,7 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 @kernel
 def amplitude_at(ramp: Ramp, tick: int) -> float:
-    """Return the amplitude at the start of tick number `tick`: during the ramp, or `target` after it."""
+    """Return the amplitude at the start of tick number `tick`: a value on the ramp, or its `target` after its end."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
@@ -94,14 +96,14 @@ def fill_sine(
 class FunctionGenerator:
     """Function generator for sines, chirps in steps of one tick, seeded band-limited noise, and streams of samples.
 
-    The amplitude moves linearly to a newly commanded one within `shaker.ramp_s`, rounded up to whole ticks. Random
-    drive is Gaussian noise, band-passed, with straight lines between ticks; its amplitude is the rms of its values
-    there.
+    The amplitude moves linearly to a newly commanded one within `shaker.ramp_s`, rounded up to whole ticks. A random
+    drive is band-passed Gaussian noise with one value per tick and straight lines between them; its amplitude is the
+    rms of these values.
 
     Args:
-        drive: waveform and first command; a ramp leads to its amplitude.
-        shaker: the section with the ramp time.
-        random: source of the numbers of a random drive.
+        drive: waveform, first frequency and first amplitude; the drive starts with a ramp from 0 to this amplitude.
+        shaker: configuration of the shaker, of which the ramp time is used.
+        random: random generator for a random drive.
 
     Attributes:
         frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
@@ -109,7 +111,7 @@ class FunctionGenerator:
         stream: player of a stream's samples, None with any other waveform. The amplitude of a stream is 0.
 
     Raises:
-        CommandError: the band of a random drive reaches too high for one value per tick.
+        CommandError: the upper end of a random drive's band is too high for noise with one value per tick.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random) -> None:
@@ -147,13 +149,13 @@ class FunctionGenerator:
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude at the end of the present ramp, or the present amplitude if no ramp is under way (A, m or V)."""
+        """Amplitude at the end of the ramp that is under way, or the present amplitude without a ramp (A, m or V)."""
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
         """Change the frequency of a sine from the next tick on, without a jump of the phase.
 
-        Other waveforms ignore it, although `frequency_hz` shows it.
+        With another waveform the drive does not change, although the attribute `frequency_hz` then has this value.
 
         Raises:
             CommandError: the frequency is not a finite number > 0.
@@ -165,9 +167,9 @@ class FunctionGenerator:
         self.frequency_hz = frequency_hz
 
     def set_amplitude(self, amplitude: float) -> None:
-        """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick.
+        """Ramp to another amplitude (A, m or V by drive; peak, or rms for random drive) from the next tick on.
 
-        A stream accepts zero only, which stops it and drops its buffered samples.
+        A stream accepts only 0, which ramps it to zero and drops its buffered samples.
 
         Raises:
             CommandError: the amplitude is not a finite number >= 0, or not zero for a stream.
@@ -179,17 +181,17 @@ class FunctionGenerator:
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp the drive to zero within `ramp_s` seconds, whatever the ramp of other commands; end a stream.
+        """Ramp the drive to zero within `ramp_s` seconds instead of the usual ramp time; stop a stream.
 
-        A ramp to zero that is under way can only end earlier.
+        If a ramp to zero is already under way, it is replaced only by one that ends earlier.
         """
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] that later amplitude changes take; a ramp under way starts again with it from here.
+        """Set the time [s] that later changes of the amplitude take.
 
-        A ramp to zero that is under way can only end earlier. For a stream, the time is that of the ramp at missing
-        samples.
+        A ramp that is under way starts again from the present amplitude with this time, but a ramp to zero only if it
+        then ends earlier. For a stream, the time is that of the ramp to zero at missing samples.
         """
         self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:
@@ -201,9 +203,10 @@ class FunctionGenerator:
         return math.ceil(ramp_s / self._tick_s - 1e-9)
 
     def _ramp_to(self, target: float, ticks: int) -> None:
-        """Start a ramp from the present amplitude to `target` in so many ticks; a stream is stopped.
+        """Start a ramp from the present amplitude to `target` that takes `ticks` ticks; a stream is stopped.
 
-        No command delays the end of a ramp to zero: a stop stays as quick as it was, whatever commands follow.
+        A new ramp to zero replaces a ramp to zero that is under way only if it ends earlier. So no later command to
+        stop delays the end of an earlier one.
         """
         present = self._reached
         if self.stream is not None:
@@ -216,22 +219,22 @@ class FunctionGenerator:
             self._ramp = Ramp(self.tick, present if ticks else target, target, ticks)
 
     def set_tick(self, tick_s: float) -> None:
-        """Change the duration of a tick [s] after the scan clock's error has changed; the phase does not jump."""
+        """Change the duration of later ticks [s], as the scan clock's error has changed; the phase does not jump."""
         if tick_s != self._tick_s:
             self._anchor_phase, self._anchor_tick = self.phase_rad, self.tick
             self._tick_s = tick_s
 
     def copy(self) -> FunctionGenerator:
-        """Return an independent copy that continues from here with the same noise; both share a stream's buffer."""
+        """Return an independent copy that will generate the same drive; only the buffer of a stream is shared."""
         twin = copy.copy(self)
         twin._noise = self._noise and self._noise.copy()
         twin.stream = self.stream and self.stream.copy()
         return twin
 
     def segments(self, count: int) -> NDArray[np.void]:
-        """Generate the next `count` ticks; return their drive segments, dtype `SEGMENT`.
+        """Generate the drive of the next `count` ticks; return it as drive segments, dtype `SEGMENT`.
 
-        There is one segment per tick, or more for a stream.
+        There is one segment per tick, or one or more per tick of a stream.
         """
         segments: NDArray[np.void]
         if self.stream is not None:
@@ -255,9 +258,9 @@ class FunctionGenerator:
         return np.array([amplitude_at(self._ramp, tick) for tick in range(self.tick, self.tick + count + 1)])
 
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
-        """Add to segments the ramp to zero from the value at which a stream was stopped.
+        """Add to the drive segments of a stopped stream a ramp to zero from the value at which it was stopped.
 
-        The samples of the stream itself are zero from that instant on, so the sum is the ramp alone.
+        The segments of the stream itself are zero from that instant on, so the sum is the ramp alone.
         """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return

@@ -64,9 +64,10 @@ def _sphere(p: Record, s: Record) -> tuple[float, float]:
 
 @kernel
 def _integrate_straight(omega: float, length: float, x_2: float, v_2: float, x_end: float, v_end: float) -> complex:
-    """Return the integral of x_2'' exp(−jωt) over a contact's step, with t from its middle, for a straight line x_2''.
+    """Return the integral of x_2'' exp(−jωt) over one step of a contact, with t counted from the middle of the step.
 
-    The line has the given changes of velocity and position over the step of `length` seconds.
+    The acceleration x_2'' is taken as linear in time, such that velocity and position change over the `length` seconds
+    of the step from v_2 and x_2 to v_end and x_end.
     """
     moment = 0.5 * length * (v_end + v_2) - (x_end - x_2)  # of x_2'' about the middle
     square = omega * length * omega * length
@@ -103,9 +104,9 @@ def _integrate_one_body(
 def _integrate_acceleration(
     model: Model, f: DriveSegment, trajectory: Trajectory, rows: tuple[int, int], duration: float, flight: Record
 ) -> complex:
-    """Return the integral of x_2'' exp(−jωt) over a segment of `duration` seconds, t from its start.
+    """Return the integral of the sphere's x_2'' exp(−jωt) over the drive segment f, t from its start to `duration` [s].
 
-    `rows` are the rows of the history with the segment's first state and with the next segment's first.
+    `rows` are two row numbers of the history: of the first state in this segment, and of the first in the next one.
     """
     p, history, total, rotor = model.parameters[0], trajectory.history, 0.0j, 1.0 + 0.0j
     x_2, v_2 = _sphere(p, history[rows[0]])
@@ -132,9 +133,9 @@ def _integrate_acceleration(
 
 @entry(MODEL, TRAJECTORY, FLIGHT, REALS_2D)
 def follow_cycles(model: Model, trajectory: Trajectory, flights: Records, out: Reals) -> None:
-    """Fill `out` with one CYCLE, six numbers in a row, per segment of the trajectory, each of which must be one cycle.
+    """Fill `out`, shape (segments, 6), with the six numbers of one CYCLE for each drive segment of the trajectory.
 
-    `flights` is scratch memory, one record of FLIGHT.
+    Each segment must be one complete cycle of the drive. `flights` is scratch memory, one record of FLIGHT.
     """
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0

@@ -181,7 +181,10 @@ def state_matrix(c: Constants, kind: str, mass: float) -> NDArray[np.float64]:
 
 
 def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return b_0 and b_1 of y' = M y + b_0 u + b_1 u', shape (n,): how the drive u of this kind and its rate enter."""
+    """Return b_0 and b_1 of y' = M y + b_0 u + b_1 u', shape (n,), for a superior base of `mass` [kg].
+
+    They are the factors with which the drive u of this kind, and its rate u', enter the equations of motion.
+    """
     b_0, b_1 = np.zeros((2, _STATES[kind]))
     if kind == "prescribed":
         b_0[V1], b_1[V1] = c.k_1 / mass, c.c_1 / mass
@@ -195,14 +198,15 @@ def input_vectors(c: Constants, kind: str, mass: float) -> tuple[NDArray[np.floa
 def modes(matrix: NDArray[np.float64]) -> Modes:
     """Return the modes of a real matrix M, computed with many digits and rounded once; real modes first, then pairs.
 
-    (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left at each root of p, a matrix of rank one. Coinciding
-    eigenvalues (critical damping) have no complete set of modes; the damping is then changed by a few parts in 1e9.
+    (s I − M)⁻¹ = adj(s I − M) / p(s) has the residue right · left, a matrix of rank one, at each root of its
+    characteristic polynomial p. A matrix with coinciding eigenvalues (critical damping) has no complete set of modes.
+    Its diagonal, which holds the dampings, is then changed by one or two parts in 1e9.
 
     Raises:
-        ConfigError: the matrix has no usable modes, because masses or stiffnesses are too far apart.
+        ConfigError: the matrix is not finite, or has no usable modes because masses or stiffnesses are too far apart.
     """
     if not np.all(np.isfinite(matrix)):
-        raise ConfigError("structure and shaker have no modes: a mass, stiffness or damping is out of range")
+        raise ConfigError("structure and shaker have no modes: a mass, stiffness or damping is too large or too small")
     for attempt in range(3):
         nudged = matrix.copy()
         for i in range(len(nudged)):
@@ -221,7 +225,7 @@ def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDA
     """
     answer = _rest(matrix, load)
     if answer is None or not np.all(np.isfinite(answer)):
-        raise ConfigError("structure and shaker have no position of rest: a stiffness is out of range")
+        raise ConfigError("structure and shaker have no position of rest: a stiffness is too large or too small")
     return answer
 
 
@@ -236,7 +240,11 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
 
 @with_70_digits
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
-    """Return the modes of a real matrix, with many digits, or None if two of them are too similar to separate."""
+    """Return the modes of a real matrix, computed with 70 digits, or None if they cannot be separated.
+
+    That is so if two eigenvalues coincide, if they are not found, or if the parts of a motion in the modes would be
+    more than `_WORST_CONDITION` times as large as the motion.
+    """
     polynomial, adjugate = resolvent(_exactly(matrix))
     scale = _balance(matrix)
     start = np.linalg.eigvals(matrix * scale[np.newaxis, :] / scale[:, np.newaxis])  # the scaling keeps the roots
@@ -273,9 +281,10 @@ def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[
 
 
 def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a unit for each entry of y, shape (n,), so that lengths and speeds have numbers of similar size.
+    """Return a unit for each entry of the state y, shape (n,), in which displacements and speeds are of similar size.
 
-    Time scales differ by decades; without this, the approximate eigenvalues would be poor.
+    The unit of a displacement is 1/ω [m], with ω² the stiffness of the columns over the mass, and all others are 1.
+    Without these units the approximate eigenvalues would be poor, because the time scales of the rig differ by decades.
     """
     scale = np.ones(len(matrix))
     scale[[X1, XB] if len(matrix) > 2 else [X1]] = 1.0 / max(1e-300, math.sqrt(abs(matrix[V1, X1])))

@@ -52,12 +52,13 @@ CONTACT_RTOL = 1e-9
 
 
 class Model(NamedTuple):
-    """Constants of a simulation, which are valid until the configuration changes.
+    """Constants of a simulation in the form that kernels use, valid until the configuration of the mechanics changes.
 
     Attributes:
         parameters: one record of PARAMETERS: the numbers of the equations of motion.
         systems: two records of SYSTEM: the linear systems with the sphere loose and attached.
-        table: one record of `outcome.TABLE`: outcomes of fast contacts.
+        table: one record of `outcome.TABLE`: outcomes of fast contacts. Its `high` is 0 if none are tabulated; then
+            every contact is integrated.
         law: the contact law's compiled force.
     """
 
@@ -73,8 +74,8 @@ MODEL = Fields(Model, (PARAMETERS, SYSTEM, TABLE, FORCE))
 def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None = None) -> Model:
     """Return the model of a configuration; `kind`, if given, replaces its `drive.kind`.
 
-    `rtol` is the relative tolerance of the steps of a contact. Outcomes of contacts are tabulated only if it is not
-    below the default.
+    `rtol` is the relative tolerance of each integration step of a contact. The outcomes of contacts are tabulated only
+    if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free; otherwise every contact is integrated.
 
     Raises:
         ConfigError: the masses and stiffnesses have no usable modes.
@@ -129,14 +130,14 @@ def _set_force(p: SimpleNamespace, force: Force, m_eff: float) -> None:
 
 @lru_cache(maxsize=32)
 def _table(force: Force) -> Any:
-    """Return the table of contact outcomes of a force, in units in which its stiffness and all masses are 1."""
+    """Return the table of contact outcomes of a force whose stiffness is 1, in units in which all masses are 1, too."""
     return tabulate(unit_parameters(force), compiled_force(force.function))
 
 
 def unit_parameters(force: Force) -> Any:
-    """Return one record of PARAMETERS for contacts of a force in its own units: all masses are 1.
+    """Return one record of PARAMETERS for contacts of a force in dimensionless units, in which all masses are 1.
 
-    The caller passes a force whose stiffness is 1, too.
+    The stiffness is that of `force`, so the caller must pass a force whose stiffness is 1 as well.
     """
     p = SimpleNamespace(m=1.0, m_1=1.0, m_eff=1.0, per_m_eff=1.0, speed_floor=1.0)
     _set_force(p, force, 1.0)
@@ -145,9 +146,9 @@ def unit_parameters(force: Force) -> Any:
 
 @lru_cache(maxsize=32)
 def _systems(c: Constants, kind: str, sphere_kg: float) -> Any:
-    """Return the two linear systems, sphere loose and attached, and the rate of their fastest mode [1/s].
+    """Return the linear systems with the sphere loose and attached, and the rate of the fastest mode of both [1/s].
 
-    They do not depend on gap and contact law, so they are computed once while only those change.
+    The result is cached, because it does not depend on gap and contact law: a change of these computes no modes.
     """
     systems = record(SYSTEM, 2)
     for system, mass in zip(systems, (c.m_1, c.m_1 + sphere_kg), strict=True):

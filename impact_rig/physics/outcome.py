@@ -64,8 +64,8 @@ _COEFFICIENTS_1, _COEFFICIENTS_2 = 14, 7  # of the derivatives, whose factors ar
 
 WIDEST = 0.1  # of |η_0|
 MOST_1, MOST_2, MOST_3 = 3e-4, 2e-7, 1e-10
-"""Limits of the use of a table: largest |η_1|, largest |η_2|, α and γ, and largest |η_3|, which is not tabulated.
-Beyond them an outcome could change by 1e-10, and the contact is integrated instead.
+"""Limits within which a table is used: MOST_1 for |η_1|, MOST_2 for |η_2|, α and γ, and MOST_3 for |η_3|, whose effect
+is not tabulated. Beyond them an outcome could be wrong by 1e-10, and the contact is integrated instead.
 """
 _NARROWER = 0.8
 _NARROWINGS = 24
@@ -99,10 +99,10 @@ def perturbed_contact(
     steps: Records,
     out: Reals,
 ) -> bool:
-    """Integrate one contact in its own units under η_0 and `perturbations` = (η_1, η_2, α, γ), see this module.
+    """Integrate one contact in units made of m_eff, v0 and t_0, under η_0 and `perturbations` = (η_1, η_2, α, γ).
 
-    Fills `out` with its outcome, shape (OUTCOMES,), and returns whether the sphere left the wall. `parameters`,
-    `states` and `steps` are one record each, and are modified.
+    The docstring of this module defines these. Fills `out` with the contact's outcome, shape (OUTCOMES,), and returns
+    whether the sphere left the wall. `parameters`, `states` and `steps` are one record each, and are modified.
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
@@ -145,10 +145,10 @@ def perturbed_contact(
 
 
 class Contacts:
-    """Integrated contacts of one law in its own units, from which its table is computed.
+    """Source of integrated contacts of one law in dimensionless units, from which the table of the law is computed.
 
     Args:
-        parameters: one record of PARAMETERS with the law's numbers, stiffness and masses 1; it is modified.
+        parameters: one record of PARAMETERS with the numbers of the law, but stiffness and masses 1; it is modified.
         law: the contact law's compiled force.
     """
 
@@ -157,7 +157,7 @@ class Contacts:
         self._states, self._steps = record(STATE), record(CONTACT_STEP)
 
     def under(self, eta_0: float, perturbations: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
-        """Return whether the sphere left the wall in a contact under η_0 and `perturbations`, and its outcome.
+        """Integrate a contact under η_0 and `perturbations`; return whether the sphere left the wall, and the outcome.
 
         The perturbations are (η_1, η_2, α, γ), and the outcome has the shape (OUTCOMES,).
         """
@@ -167,9 +167,10 @@ class Contacts:
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return whether the sphere left in every contact, and f' and ½ f'' of the outcomes f at η_0, from differences.
+        """Return f' and ½ f'' of the outcomes f at η_0, by perturbation number `which` of (η_1, η_2, α, γ).
 
-        The derivatives are those by perturbation number `which` of (η_1, η_2, α, γ).
+        They are differences between the outcomes of three contacts. The first result, which precedes them, says whether
+        the sphere left the wall in all three.
         """
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)
@@ -191,12 +192,13 @@ class Contacts:
 
 
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
-    """Return the table of contact outcomes of a law, TABLE shape (1,), with the widest range in which the series hold.
+    """Return the table of contact outcomes of a law, dtype TABLE, shape (1,).
 
-    If they hold in no range, `high` is 0, and every contact of the law is integrated.
+    The range of η_0 starts at ± WIDEST and is narrowed step by step until the series of `_series` are exact enough. If
+    no tried range suffices, `high` is 0, and every contact of the law is integrated.
 
     Args:
-        parameters: one record of the law's numbers in its own units, stiffness and masses 1; it is modified.
+        parameters: one record of PARAMETERS with the numbers of the law, but stiffness and masses 1; it is modified.
         law: the contact law's compiled force.
     """
     table, contacts = record(TABLE), Contacts(parameters, law)
@@ -216,10 +218,11 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 
 
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
-    """Return the Chebyshev series of outcomes and derivatives over a range of η_0; None if they do not hold there.
+    """Return the Chebyshev series of outcomes and their derivatives over a range of η_0; None if they do not suffice.
 
-    They hold if the sphere leaves in every contact and the last coefficients are negligible. The shape is
-    (COEFFICIENTS, SERIES_COUNT). Less important columns are computed from fewer contacts.
+    They suffice if the sphere leaves the wall in every integrated contact, and the last coefficients of the DECISIVE
+    outcomes are negligible. The shape is (COEFFICIENTS, SERIES_COUNT). The series of derivatives have fewer terms and
+    are computed from fewer contacts.
     """
     series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 
@@ -268,11 +271,11 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @kernel
 def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
-    """Compute from the table the outcome of the contact that begins at s, in its own units, as `table.outcome`.
+    """Compute from the table the outcome of the contact that begins in the state s; return whether it may be used.
 
-    `step` must be expanded about s, and `t_0` is the contact's time scale [s]. Returns whether the contact is in the
-    range of the table and ends within `time_left` seconds and while the polynomials of `step` hold. Otherwise it must
-    be integrated.
+    `table.outcome` then holds it, in units made of m_eff, v0 and t_0. It may be used if the contact is in the range of
+    the table and ends within `time_left` seconds, and before the polynomials of `step` become inexact. Otherwise the
+    contact must be integrated. `step` must be expanded about s, and `t_0` is the contact's time scale [s].
     """
     speed = s.speed
     if speed < p.speed_floor:  # a limited approach speed would be a scale of its own
@@ -310,9 +313,10 @@ def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_
 
 @kernel
 def apply_outcome(p: Record, table: Record, s: Record, step: Record, t_0: float) -> None:
-    """Move the state s from the touch to the end of its contact, by the outcome that `look_up` computed.
+    """Move the state s from the touch to the end of its contact, by the outcome that `look_up` stored in the table.
 
-    `t_0` is the contact's time scale [s].
+    Duration, impulse, peak force, largest indentation and lost energy of the contact are set in s as well. `t_0` is the
+    contact's time scale [s].
     """
     found, speed = table.outcome, s.speed
     delta_0 = speed * t_0

@@ -13,20 +13,22 @@
 # limitations under the License.
 """Evaluation of a trajectory after its simulation, at any instants or as polynomials; it never changes the trajectory.
 
-In flight the closed form is expanded into short Taylor polynomials anchored at fixed places of the flight. A sample
-then costs a dozen multiplications and does not depend on which other samples are requested. Inside a contact the step
-is solved again up to the instant; a contact whose outcome was tabulated is integrated here first. With F the contact
-force, F_c that of the columns, δ the indentation and `dent` the residual one,
+In flight the closed form is expanded into Taylor polynomials of the structure's motion, about instants at fixed
+distances from the start of the flight. A sample then costs a dozen multiplications and does not depend on which other
+samples are requested. Inside a contact the integration step is solved again up to the instant; a contact whose outcome
+was tabulated is integrated here first. With F the contact force, F_c that of the columns, δ the indentation and `dent`
+the residual indentation,
 
     x_1 = x_1* − side σ δ,    x_2 = x_1 + side (g/2 + `dent` + δ),    a_1 = (F_c + side F) / m_1,    a_2 = −side F / m
 
-In the functions, s is the state at the event or step from which the motion continues, and t the time since the start of
-the segment. `since` is the time since the start of the flight, step or contact, and τ that since a polynomial's anchor.
+In the functions, s is the stored state at the event or step from which the motion continues, and t the time since the
+start of the drive segment. `since` is the time since the start of the flight, step or contact, and τ the time since the
+instant about which a polynomial is expanded, its anchor.
 
 The sensors evaluate a motion piece by piece, each piece as one polynomial (`fit`); `refine` returns the instants
-between the pieces. In flight it is the shortened Taylor polynomial about the middle of the piece. In a contact it is
-the polynomial through eight instants of the step's dense output or, if the contact was tabulated, of δ integrated
-again. Anything else, including a tabulated contact of a law with a memory, is fitted through eight samples.
+between the pieces. In flight the polynomial is the shortened Taylor polynomial about the middle of the piece. In a
+contact it runs through eight instants of the step's dense output or, if the contact was tabulated, of δ integrated
+again. Any other piece, also in a tabulated contact of a law with a memory, is fitted through eight samples.
 """
 
 from __future__ import annotations
@@ -250,9 +252,9 @@ def new_sampling_workspace() -> SamplingWorkspace:
 
 @kernel
 def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
-    """Return how to compute a quantity: (index in y, order of the derivative, whether it is the drive itself).
+    """Return how to compute a quantity of the structure: (entry of y, order of derivative, whether it is the drive).
 
-    The quantity is one of the structure, and y the structural state.
+    y is the structural state. If the last result is true, the quantity is this derivative of the drive u, not of y.
     """
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False
@@ -266,9 +268,9 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 
 @kernel
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
-    """Fill `workspace.powers` with (λ half)^k / k! for λ = `rate`, the factors of a Taylor series; return their number.
+    """Fill `workspace.powers` with (λ half)^k / k!, the factors of a Taylor series with λ = `rate`; return how many.
 
-    It is two for λ = 0, because a drive of that rate is a straight line.
+    For λ = 0 only two are filled in, because a drive of that rate is a straight line.
     """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
@@ -291,8 +293,8 @@ def _add_series(
 ) -> None:
     """Add to `poly` the Taylor series in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
 
-    λ is `rate`, and τ the time since the polynomial's anchor. The first `terms` of `workspace.powers`, filled for the
-    same λ, are used.
+    λ is `rate`, and τ the time since the instant about which the series is expanded. The first `terms` numbers of
+    `workspace.powers` are used, which must have been filled in for the same λ and `half`.
     """
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -314,9 +316,9 @@ def _expand_flight(
     since: float,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill `poly` with the Taylor polynomial of a quantity about the instant `since` seconds after the flight's start.
+    """Fill `poly` with a quantity's Taylor polynomial about the instant `since` seconds after the flight's start.
 
-    The quantity is a motion of the structure or the drive itself.
+    The quantity must be a motion of the structure, or the drive itself.
     """
     poly[:] = 0.0
     t = flight.t_b + since
@@ -348,10 +350,10 @@ def _is_of_structure(p: Record, quantity: int) -> bool:
 
 @kernel
 def _structure_quantity(s: Record, quantity: int) -> int:
-    """Return the quantity whose Taylor polynomial gives this quantity in the flight from s.
+    """Return the quantity from whose Taylor polynomial a given quantity is computed in the flight from s.
 
-    While the sphere is ATTACHED, its motion and the force of a wall follow from the superior base. Otherwise every
-    quantity stands for itself.
+    While the sphere is ATTACHED, its motion and the force of a wall follow from the motion of the superior base. In all
+    other cases it is the given quantity itself.
     """
     if s.phase == ATTACHED:  # one body: the sphere moves with the structure, and a wall may push it
         if quantity in (OF_X_2, OF_V_2, OF_A_2):
@@ -365,8 +367,8 @@ def _structure_quantity(s: Record, quantity: int) -> int:
 def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: float, since: float) -> float:
     """Return the value of a quantity `since` seconds after the start of the flight from s.
 
-    `poly` is the quantity's Taylor polynomial, and `tau` the time since its anchor [s]. The loose sphere has none and
-    follows a parabola.
+    `poly` is the Taylor polynomial of the quantity that `_structure_quantity` names, and `tau` the time since the
+    instant about which it is expanded [s]. A loose sphere follows a parabola, for which `poly` is not used.
     """
     if quantity == OF_CURRENT and p.drive_kind == PRESCRIBED:
         return 0.0
@@ -390,10 +392,11 @@ def _quantity_in_flight(p: Record, s: Record, quantity: int, poly: Reals, tau: f
 
 @kernel
 def integrate_tabulated(model: Model, f: DriveSegment, step: Record, steps: Records) -> int:
-    """Integrate the contact that begins at `steps[_MOST_STEPS]` into `steps[0]`, `steps[1]`, …; return their number.
+    """Integrate a tabulated contact, storing the state of each step in `steps[0]`, `steps[1]`, …; return their number.
 
-    The simulation took the outcome of this contact from a table and has no states within it. The last row is the end of
-    the contact, or the place where a step failed or the room ran out. The initial state is overwritten.
+    The contact begins in the state `steps[_MOST_STEPS]`, which is overwritten. The simulation took the outcome of this
+    contact from a table and has no states within it. The last state is at the end of the contact, or where a step had
+    no solution or the room in `steps` ran out.
     """
     p, s = model.parameters[0], steps[_MOST_STEPS]
     drop_dense_output(step)
@@ -535,7 +538,10 @@ def _sample_contact(
     query: Query,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill `query.out` at the instants start … stop − 1, all of them in the contact whose state is `history[row]`."""
+    """Fill `query.out` for the instants number start … stop − 1, all of which are in the contact from `history[row]`.
+
+    `history[row]` is the start of one integration step of a contact, or of a whole tabulated contact.
+    """
     step, s = workspace.step[0], history[row]
     steps, first_row, end_row, solved_row = history, row, row + 1, -1
     if s.tabulated:
@@ -573,7 +579,7 @@ def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) ->
 def _sample_flight(
     model: Model, f: DriveSegment, s: Record, start: int, stop: int, query: Query, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `query.out` at the instants start … stop − 1, all of which are in the flight that begins at s."""
+    """Fill `query.out` for the instants number start … stop − 1, all of which are in the flight that begins at s."""
     p, flight = model.parameters[0], workspace.flight[0]
     system = begin_flight_at(model, f, s, flight)
     expanded_interval = -1
@@ -597,8 +603,8 @@ def _sample_flight(
 def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int, int]:
     """Return (row of the segment, row of the state, row after the segment's last state) for an instant.
 
-    `tick` counts from the first of the trajectory, and `offset` from the start of that tick [s]. The motion at the
-    instant continues from the state.
+    The instant lies in this drive segment, and the motion at the instant continues from this state of the history.
+    `tick` counts from the first tick of the trajectory, and `offset` is the time since the start of the tick [s].
     """
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
     while end_segment - segment > 1:
@@ -615,8 +621,8 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
-    If not, the values from the first missing tick on are not filled. Consecutive instants in one row of the history are
-    evaluated together.
+    If not, the values from the first instant outside the trajectory on are not filled in. Consecutive instants in the
+    same flight or step of a contact are evaluated together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)
@@ -654,7 +660,10 @@ def _sample(model: Model, trajectory: Trajectory, query: Query, workspace: Sampl
 def _fit_flight(
     p: Record, system: Record, f: DriveSegment, flight: Record, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `spans.out` with polynomials of piece i in the prepared flight, for quantities of the structure."""
+    """Fill `spans.out` for piece i with the polynomials of the wanted quantities, all motions of the structure.
+
+    The piece must lie in the flight for which `flight` has been prepared.
+    """
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
     since_middle, wanted, poly = t_middle - flight.t_b, spans.wanted, workspace.polynomials
@@ -754,8 +763,8 @@ def _fit_pulse(
 ) -> None:
     """Fill `workspace.values` with the quantities at the nodes of piece i, by integrating a tabulated contact to them.
 
-    The nodes are densest at the ends of each piece, and so of the contact, where the force has its kinks. The error of
-    the force is at most 3e-4 of its peak.
+    The nodes are densest at the ends of the piece, and so at the ends of the contact, where the force has kinks. The
+    error of the force is at most 3e-4 of its peak.
     """
     p, step, pulse, s = model.parameters[0], workspace.step[0], workspace.pulse, history[row]
     since_middle, half = 0.5 * (spans.start[i] + spans.end[i]) - f.begin - s.t, 0.5 * (spans.end[i] - spans.start[i])
@@ -774,9 +783,10 @@ def _fit_pulse(
 
 @kernel
 def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, workspace: SamplingWorkspace) -> None:
-    """Fill `workspace.values` with the quantities at the nodes of piece i by sampling them: the fallback of `fit`.
+    """Fill `workspace.values` with the quantities at the nodes of piece i by sampling them one by one.
 
-    Such a piece holds more than one flight or step, or is too long, or asks for the sphere or a force in flight.
+    `fit` uses this if no faster way is possible: the piece contains parts of several flights or steps, is too long, or
+    the sphere's motion or a force is wanted in flight.
     """
     middle, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
@@ -788,12 +798,12 @@ def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, wor
 def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
     """Fill `spans.out` with polynomials of the quantities on the pieces; return whether the trajectory has their ticks.
 
-    If not, the pieces from the first missing tick on are not filled.
+    If not, the pieces from the first one outside the trajectory on are not filled in.
 
-    In flight the fastest motion covers at most 2 radians on either side of a piece's middle. There the series leaves
-    out 2^14 / 14! = 2e-7 of it, and its shortening to eight terms 2 / 8! = 5e-5; longer pieces are fitted through
-    samples. In a step of a contact a millionth is left out. In a tabulated contact the polynomial misses the force by
-    up to a thousandth of its peak.
+    The error depends on the piece. In flight, pieces of up to 2 radians of the fastest motion on either side of their
+    middle leave out 2^14 / 14! = 2e-7 of this motion, and their shortening to eight terms 2 / 8! = 5e-5. Longer pieces
+    are fitted through samples. In a step of a contact, about a millionth is left out. In a tabulated contact the
+    polynomial misses the force by up to a thousandth of its peak.
     """
     p, flight, history = model.parameters[0], workspace.flight[0], trajectory.history
     flight.omega, workspace.pulse_row[0] = -1.0, -1
@@ -835,16 +845,15 @@ def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingW
 
 
 TABULATED_PIECES = 3
-"""Number of pieces into which `refine` divides a tabulated contact, so that the instruments' polynomials describe each.
-"""
+"""Number of pieces into which `refine` divides a tabulated contact, short enough for one polynomial of `fit` each."""
 
 
 @entry(TRAJECTORY, INTEGERS, REALS, returns=int)
 def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
-    """Fill in tick and offset [s] of the instants between which every quantity is smooth; return their number.
+    """Fill `tick` and `offset` [s] with the instants between which every quantity is smooth; return their number.
 
-    These are the states of the history, and instants within tabulated contacts. The arrays must have room for
-    TABULATED_PIECES instants per state.
+    These are the instants of the states in the history, and two instants inside each tabulated contact. The arrays must
+    have room for TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

@@ -76,9 +76,10 @@ SAMPLE = np.dtype([(name, "f8") for name in QUANTITIES])
 class Motion:
     """Motion of the rig over consecutive ticks, which `Simulation.advance` returns; it can be evaluated at any instant.
 
-    A tick is one drive segment, or several of a stream. Instants are (tick, counted since the reset; offset into it
-    [s]), so no value depends on how the run was divided into advances. Motions that are evaluated one after the other
-    may share `work`, their scratch memory.
+    A tick consists of one drive segment, or of several if the drive is a stream. An instant is given as the number of
+    its tick, counted since the reset, and its offset from the start of that tick [s]. So no value depends on how many
+    ticks one call of `advance` simulated. Motions that are evaluated one after the other may share `work`, their
+    scratch memory.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
@@ -105,9 +106,9 @@ class Motion:
         return self.first_tick + len(self.first_segment) - 2
 
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
-        """Return all quantities (dtype `SAMPLE`, SI) at instants (tick, offset into it), in their shape.
+        """Return all quantities (dtype `SAMPLE`, SI) at instants (tick, offset into it), in the shape of the instants.
 
-        It is fastest if the instants are in order.
+        The evaluation is fastest if the instants are in the order of time.
 
         Raises:
             ValueError: an instant is in none of the motion's ticks, or the shapes differ.
@@ -117,7 +118,7 @@ class Motion:
         return rows
 
     def quantity(self, name: str, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in their shape.
+        """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in the same shape.
 
         Raises:
             ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
@@ -130,7 +131,7 @@ class Motion:
     ) -> NDArray[np.float64]:
         """Return some quantities of `SAMPLE`, in SI, at instants (tick, offset into it), shape (names, *instants).
 
-        This is faster than one by one.
+        This is faster than one call of `quantity` for each.
 
         Raises:
             ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
@@ -150,9 +151,10 @@ class Motion:
     def polynomials(
         self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return some quantities of `SAMPLE` on pieces between breakpoints, each as a polynomial in x = −1 … 1.
+        """Return some quantities of `SAMPLE` on pieces of time between breakpoints, as polynomials of eight terms.
 
-        The error is that of a polynomial of eight terms, see `sampling.fit`.
+        The variable x of a polynomial is −1 at the start of its piece and 1 at the end. `sampling.fit` describes the
+        error.
 
         Args:
             names: names of the quantities.
@@ -164,7 +166,7 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a piece is in none of the motion's ticks.
+            ValueError: a piece is in none of the motion's ticks, or no quantity has such a name.
         """
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)
@@ -174,7 +176,7 @@ class Motion:
         return out
 
     def cycles(self) -> NDArray[np.void]:
-        """Return for each tick the complex amplitudes of both bases and the sphere's start, dtype `fundamental.CYCLE`.
+        """Return for each tick both bases' complex amplitudes, and the sphere's motion at the start, dtype `CYCLE`.
 
         Raises:
             ValueError: a tick is not a single segment of one complete cycle of the drive.
@@ -195,7 +197,8 @@ class Motion:
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
-        These are all stored states, at events and steps of contacts, and two places in each tabulated contact.
+        These are the instants of all stored states, which are events and steps of contacts, and two instants inside
+        each tabulated contact.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -204,9 +207,9 @@ class Motion:
 
 
 MOST_STATES = 200_000
-"""Largest number of rows of the history, flights and steps of contacts, that one drive segment may fill. The limit is
-checked when the history is full, and ends `Simulation.advance` with an error; a chattering sphere makes some ten rows a
-segment.
+"""Largest number of states, which begin flights and steps of contacts, in one drive segment. A segment with more ends
+`Simulation.advance` with an error. The limit is checked only when the memory of the states is full; even a chattering
+sphere needs only some ten states per segment.
 """
 
 _FAILURES = {
@@ -225,8 +228,8 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 class EnergyAccount:
     """Energies since the account began [J], each integrated independently: `imbalance` measures the integration error.
 
-    The account begins at a reset, another configuration, a pluck, or when the state is set. Without `account`,
-    `set_state` does not begin it again.
+    The account begins again at a reset, with another configuration, at a pluck, and when the state is set (by
+    `Simulation.set_state` only if the simulation was created with `account`).
 
     Attributes:
         work: work of the drive (coil force, coil voltage or prescribed base).
@@ -256,11 +259,13 @@ class Simulation:
     Args:
         config: configuration of the rig.
         rtol: relative tolerance of each step of a contact.
-        account: whether to keep the energy account (flights then cost about twice as much).
-        model: the model of `config` if it is already built; its tolerance is used until the next model is built.
+        account: whether to compute the work of the drive and all losses (flights then cost about twice as much).
+        model: the model of `config` if it is already built; its tolerance, not `rtol`, is used until the next model is
+            built.
 
     Attributes:
-        tick: number of the next tick, counted since the reset.
+        tick: number of the next tick to simulate, counted since the reset.
+        locked: whether `pluck` has locked the inferior base, which lasts until `reset`.
     """
 
     def __init__(
@@ -276,12 +281,12 @@ class Simulation:
 
     @property
     def config(self) -> MechanicsSetup:
-        """Active configuration of the rig's mechanics."""
+        """Configuration of the rig's mechanics that is simulated now."""
         return self._config
 
     @property
     def parameters(self) -> np.record:
-        """Active constants of the equations of motion, SI: one record of PARAMETERS."""
+        """Constants of the equations of motion that are used now, SI: one record of PARAMETERS."""
         record_: np.record = self._model.parameters[0]
         return record_
 
@@ -303,12 +308,12 @@ class Simulation:
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
         """Change the configuration: the structure keeps its motion, and the sphere is at rest at `sphere.start` again.
 
-        With another kind of drive the structure starts at rest at zero as well. A base locked by `pluck` stays locked.
-        The energy account begins again.
+        With another kind of drive the structure starts at rest at zero as well. An inferior base that `pluck` has
+        locked stays locked. The energy account begins again.
 
         Args:
             config: the new configuration.
-            model: its model, if already built.
+            model: the model of `config`, if it is already built; ignored while the base is locked.
 
         Raises:
             ConfigError: the masses and stiffnesses have no usable modes; nothing is changed.
@@ -358,8 +363,8 @@ class Simulation:
     def state(self) -> NDArray[np.float64] | None:
         """Return the state at the end of the last drive segment simulated, SI, shape (7,), or None during a contact.
 
-        The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. The force of a contact also
-        depends on how the contact began, which these numbers do not contain.
+        The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. They do not describe a state
+        during a contact, because its force also depends on how the contact began.
         """
         s = self._work.states[0]
         if s["phase"] == CONTACT:
@@ -367,11 +372,11 @@ class Simulation:
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Continue from the seven numbers of a state that `state` returned.
+        """Set the state to the seven numbers that `state` returned, from which the next call of `advance` continues.
 
-        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall pulls away. With friction of the
-        guide, a sphere at rest between the walls is ATTACHED as well, until it slips. With `account`, the energy
-        account begins again.
+        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall moves away from it. With friction of
+        the guide, a sphere at rest between the walls is ATTACHED as well, until it slips. The energy account begins
+        again if this simulation was created with `account`.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -430,7 +435,7 @@ class Simulation:
     def copy(self) -> Simulation:
         """Return an independent copy of the simulation in its present state.
 
-        The two share scratch memory, so advance them one after the other.
+        Both share scratch memory, so they must not be advanced at the same time in two threads.
         """
         twin = copy.copy(self)
         twin._work = self._work._replace(states=joined([self._work.states]), ledger=joined([self._work.ledger]))
@@ -439,7 +444,7 @@ class Simulation:
     def energy(self) -> EnergyAccount:
         """Return the energies since the account began [J].
 
-        Without `account`, its work and its losses outside the contacts are zero.
+        If this simulation was created without `account`, the work and the losses outside the contacts are zero.
         """
         ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
@@ -501,9 +506,9 @@ class Simulation:
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
-    """Return a copy of records with more room.
+    """Return a copy of records with room for four times as many; the additional ones are not initialised.
 
-    It is copied as bytes, because NumPy's copy, field by field, takes twelve times as long.
+    They are copied as bytes, because NumPy's copy, field by field, takes twelve times as long.
     """
     grown = room(_GROWTH * len(rows), kind)
     grown.view(np.uint8)[: rows.nbytes] = rows.view(np.uint8)

@@ -37,8 +37,8 @@ base as one body (ATTACHED), which is a flight as well.
 """
 
 NOTHING, SEPARATED, PAUSED, RELEASED, TURNED, RELOADED, FAILED, SETTLED, TOUCHED, STOPPED, PARTED = range(11)
-"""Ends of a step of a contact (TURNED, RELOADED, NOTHING without an event, FAILED without a solution), or of a phase of
-the motion (the others). After PAUSED the same phase continues.
+"""Reasons why a step of a contact ends (TURNED, RELOADED; NOTHING if no event ends it, FAILED if it has no solution),
+or why a phase of the motion ends (all others). After PAUSED the same phase continues.
 
 See `contact_phase` and the table of `event_loop`.
 """
@@ -53,8 +53,8 @@ STRUCTURE = 5
 """Number of entries of a structural state y."""
 
 ORDERS = 6
-"""Number of derivatives of x_1, from the zeroth on, for which a flight has terms: it evaluates 0 … 4, and bounds the
-next.
+"""Number of derivatives of x_1, counting x_1 itself as the zeroth, for which a flight stores terms. The derivatives
+0 … 4 are evaluated; of the fifth only a bound is computed.
 """
 STEP_TERMS = 12
 """Largest number of Taylor terms of the structure's motion within one step of a contact."""
@@ -126,7 +126,7 @@ COUNTS = np.dtype(
         ("ticks", "i8"),  # ticks that have begun
     ]
 )
-"""Record of how much of a workspace has been filled since the present advance of the simulation began."""
+"""Record of how much of a workspace has been filled since the present call of `Simulation.advance` began."""
 
 FLIGHT = np.dtype(
     [
@@ -151,7 +151,7 @@ FLIGHT = np.dtype(
     ],
     align=True,
 )
-"""Record of the current flight: its closed form, and where that was evaluated last."""
+"""Record of the current flight: its closed form, and the values at the instant at which that was evaluated last."""
 
 POINT = 5  # values that a contact law returns for one point
 CONTACT_STEP = np.dtype(
@@ -195,7 +195,7 @@ CONTACT_STEP = np.dtype(
 
 
 def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
-    """Return zeroed records of a type, shape (rows,), whose elements have fields as attributes in plain Python, too."""
+    """Return zeroed records of the type `kind`, shape (rows,), whose fields are attributes in plain Python, too."""
     return with_fields(np.zeros(rows, kind))
 
 

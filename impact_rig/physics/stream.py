@@ -15,8 +15,8 @@
 
 Sample k is k · 10⁹ // rate nanoseconds after scan 0. Between samples the drive is a straight line (first-order hold) or
 the sample before (zero-order hold); its segments end at samples and at ticks of the command grid. The samples that have
-arrived when a tick is simulated take effect. How they were divided into blocks, in which order and how often they
-arrived is not recorded.
+arrived when a tick is simulated take effect in it; missing ones are replaced. It has no effect into which blocks the
+samples were divided, in which order they arrived, and whether some arrived twice.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from impact_rig.physics.flight import SEGMENT
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 
 SUM_TICKS = 100
-"""Number of ticks (10 ms each) between two reports of a checksum of the samples that took effect: one second."""
+"""Number of ticks (10 ms each) after which the checksum of the samples that took effect is reported: one second."""
 
 
 class Event(enum.StrEnum):
-    """Kind of an event in a stream: samples begin or cease to take effect, or a checksum of them is reported."""
+    """Kind of an event in a stream: samples begin or cease to take effect, or the checksum of some is reported."""
 
     BEGIN = "begin"
     END = "end"
@@ -53,8 +53,8 @@ class Happened(NamedTuple):
 
     Attributes:
         event: kind of event.
-        sample: number of the first sample that takes effect (BEGIN), that is missing (END), or that the checksum covers
-            (SUM).
+        sample: number of a sample: the first that takes effect (BEGIN), the first that no longer does (END), or the
+            first that the checksum covers (SUM).
         text: for an END its reason: underrun, ended or stopped. For a SUM `count crc`: the number of samples that the
             checksum covers, and their CRC-32 in hexadecimal. Otherwise empty.
     """
@@ -65,22 +65,22 @@ class Happened(NamedTuple):
 
 
 UNDERRUN, ENDED, STOPPED = "underrun", "ended", "stopped"
-"""Reasons for the end of a stream, given in its END event: a sample was late, the controller ended the stream, or the
-shaker was stopped.
+"""Reasons for the end of a stream, given in its END event: a sample did not arrive in time, the controller ended the
+stream, or the shaker was stopped.
 """
 
 
 class StreamState(enum.Enum):
-    """State of a stream, with a description of it as value."""
+    """State of a stream; the value of each member describes it."""
 
-    RESTING = "no sample has arrived yet"
+    RESTING = "no sample has taken effect yet"
     PLAYING = "samples are in effect"
     MISSING = "no sample arrived in time"
-    OVER = "the controller has ended it, or the shaker was stopped"
+    OVER = "the controller has ended the stream, or the shaker was stopped"
 
 
 class Buffer:
-    """Ring buffer of a stream's numbered samples; a sample can be replaced until it is played."""
+    """Ring buffer of a stream's samples by number; a sample can be replaced until the simulation has used it."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -91,10 +91,10 @@ class Buffer:
         self._whole_to = 0  # all samples are present from the first one played to here
 
     def put(self, first: int, values: NDArray[np.float64]) -> None:
-        """Store the samples from number `first` on, at most the capacity; an empty array ends the stream there.
+        """Store the samples from number `first` on, at most the capacity; an empty array marks the stream's end there.
 
-        A later sample with exactly that number cancels the end. Samples beyond it do not, so that the order of arrival
-        has no effect.
+        If a sample with exactly the number of such an end is stored later, it cancels the end. Samples with larger
+        numbers do not, so that the order of arrival has no effect.
         """
         self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
@@ -104,13 +104,13 @@ class Buffer:
         self._tags[numbers % self.capacity] = numbers + 1
 
     def clear(self) -> None:
-        """Remove all samples and ends."""
+        """Remove all samples, and all ends of the stream that the controller has set."""
         self._tags[:] = 0
         self._whole_to = 0
         self.ends.clear()
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return for each of the samples first … end − 1 whether it is in the buffer."""
+        """Return for each of the samples first … end − 1 whether it is in the buffer, shape (end − first,)."""
         numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
@@ -136,13 +136,15 @@ class Buffer:
 class Stream:
     """Player of a stream: turns buffered samples into drive segments, tick by tick. Copies share the buffer.
 
+    To play a sample is to use it, or to replace it if it is missing, in the drive segments of a tick.
+
     Attributes:
         rate_hz: samples per second.
         capacity: number of samples that the buffer holds.
         buffer: buffered samples, by number.
         played: number of the next sample to play, counted from 0; all earlier ones have taken effect or were replaced.
         state: state of the stream.
-        missing: number of samples that did not arrive in time and were replaced.
+        missing: number of samples that did not arrive in time and were replaced; those after an end do not count.
         events: events that the owner of the stream has not collected yet.
     """
 
@@ -166,7 +168,7 @@ class Stream:
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] of the ramp to zero at missing samples; a ramp under way starts again from here."""
+        """Set the time [s] of the ramp to zero at missing samples; one under way starts again at the present value."""
         if self.state is not StreamState.PLAYING and self._ramps_down and self._ramped:
             # from the present value, because the drive must not jump
             self._last_value, self._ramped = self._last_value * (1.0 - self._ramped / self._ramp_samples), 0
@@ -183,9 +185,9 @@ class Stream:
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:
-        """Store a block, the samples from number `first` on; return how many of them came too late and were ignored.
+        """Store a block of samples, numbered from `first` on; return how many came too late and were ignored.
 
-        Too late are those below `played`. A block without samples ends the stream at `first`.
+        A sample is too late if its number is below `played`. An empty block ends the stream at `first`.
 
         Raises:
             CommandError: the block reaches further ahead than the buffer does; nothing is stored.
@@ -205,10 +207,10 @@ class Stream:
         return late
 
     def stop(self, tick: int) -> float:
-        """Drop all samples, in effect or buffered, and return the drive's value at the start of `tick`, the next one.
+        """Drop all buffered samples, and return the value of the drive at the start of `tick`, the next tick.
 
-        From there on the stream itself is zero, and the caller makes a ramp from that value: the samples may be a
-        second apart, too far to make a ramp of them.
+        From there on the stream itself is zero, so the caller must add a ramp to zero from the returned value. The
+        stream cannot ramp by itself, because its samples may be a second apart.
         """
         value = self._value_at(tick)
         self.buffer.clear()
@@ -220,7 +222,7 @@ class Stream:
         return value
 
     def _value_at(self, tick: int) -> float:
-        """Return the drive's value at the start of `tick`, the next one, approached from the tick before."""
+        """Return the value of the drive at the start of `tick`, the next tick, as the samples played so far give it."""
         before, last = map(float, self._recent)
         if not self._linear or self.played == 0:
             return last
@@ -228,19 +230,24 @@ class Stream:
         return last if end_ns <= at_ns else before + (last - before) * ((at_ns - start_ns) / (end_ns - start_ns))
 
     def buffered(self) -> int:
-        """Return how many samples without a gap are in the buffer, from the next one to play on."""
+        """Return how many samples are in the buffer from the next one to play up to the first missing one."""
         return self.buffer.first_missing(self.played) - self.played
 
     def ticks_until_event(self, tick: int) -> int:
-        """Return how many ticks to play from `tick` on, so that the next event or checksum is in the last one."""
+        """Return how many ticks to play from `tick` on, so that the next event of the stream is in the last of them.
+
+        The event is the first sample to take effect or, while samples take effect, the first missing one; or a
+        checksum, which comes at least once per second.
+        """
         ahead = SUM_TICKS - tick % SUM_TICKS
         at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
         return ahead if at is None else min(ahead, max(1, self._tick_of(at) - tick + 1))
 
     def whole_ticks(self) -> int | None:
-        """Return the first tick for which a sample is missing: all ticks before it can be played without replacements.
+        """Return the number of the first tick that needs a sample which is not in the buffer.
 
-        It is None if no more samples are due, because the controller has ended the stream or the shaker was stopped.
+        All ticks before it can be played without replacing a sample. The result is None if no more samples are due,
+        because the controller has ended the stream or the shaker was stopped.
         """
         missing = self._first_missing()
         over = self.state is StreamState.OVER or self._end_reason == STOPPED
@@ -311,9 +318,10 @@ class Stream:
         return values
 
     def _without(self, count: int) -> NDArray[np.float64]:
-        """Return values for `count` missing samples: zero, a straight ramp to zero, or the last value held.
+        """Return replacements for `count` missing samples: a straight ramp from the last value to zero, then zeros.
 
-        The first missing one after played samples also adds the END event.
+        After an underrun with `drive.on_underrun: hold`, the last value is repeated instead. If samples have taken
+        effect until now, the event END is added.
         """
         if self.state is StreamState.PLAYING:
             self._sum_up()

@@ -41,7 +41,7 @@ def _found() -> dict[str, type[ContactLaw]]:
         own = (kind for kind in vars(module).values() if getattr(kind, "__module__", None) == module.__name__)
         for law in own:
             if isinstance(law, type) and issubclass(law, ContactLaw) and hasattr(law, "name"):
-                assert law.name not in laws, f"two contact laws are called {law.name}"
+                assert law.name not in laws, f"two contact laws are called {law.name}: rename one"
                 laws[law.name] = law
     return dict(sorted(laws.items()))
 
@@ -65,7 +65,7 @@ def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> l
         for attribute in attrs.fields(law):
             known = found.setdefault(attribute.name, attribute.evolve(kw_only=True, inherited=False))
             same = (known.default, known.metadata) == (attribute.default, attribute.metadata)
-            assert same, f"two contact laws define differently the setting {attribute.name}"
+            assert same, f"contact laws must give {attribute.name} the same default and metadata, two laws differ"
     return list(found.values())
 
 

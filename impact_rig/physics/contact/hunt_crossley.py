@@ -143,8 +143,8 @@ def _published(
 ) -> type[HystereticLaw]:
     """Return the class of a Hunt–Crossley law from its published formula: `factor` computes a from the nominal e.
 
-    The other arguments become class attributes, see `ContactLaw`; `returns` is the restitution it gives for a nominal
-    0.35.
+    The other arguments become class attributes, see `ContactLaw`; `returns` is the restitution that the law really
+    gives for a nominal restitution of 0.35.
     """
     row = {"name": name, "formula": formula, "returns": returns, "source": source, "adjustable": adjustable}
     law = type(name, (HystereticLaw,), {
@@ -157,7 +157,7 @@ def _published(
 Hertz = _published(
     "hertz", "0", 1.0, "Hertz (1882), J. Reine Angew. Math. 92, 156–171", lambda _: 0.0, adjustable=False
 )
-"""Law without damping (a = 0), used as a reference: it returns 1 whatever the nominal restitution."""
+"""Law without damping (a = 0), used as a reference: it gives the restitution 1, whatever the nominal one is."""
 HuntCrossley = _published(
     "hunt_crossley",
     "3(1 − e)/2",
@@ -195,7 +195,7 @@ Gonthier = _published(
     "Gonthier, McPhee, Lange & Piedbœuf (2004), Multibody Syst. Dyn. 11, 209–233",
     lambda e: (1.0 - e * e) / e,
 )
-"""A law that really gives close to the nominal restitution over the whole range of it."""
+"""A law whose realised restitution is close to the nominal one over the whole range from 0 to 1."""
 ZhiyingQishao = _published(
     "zhiying_qishao",
     "¾(1 − e²) exp(2(1 − e))",
@@ -211,8 +211,8 @@ Flores = _published(
     "Flores, Machado, Silva & Martins (2011), Multibody Syst. Dyn. 25, 357–375; the paper's Eq. (5)",
     lambda e: 8.0 * (1.0 - e) / (5.0 * e),
 )
-"""The law of the paper about this rig. It gives 0.309 for the nominal 0.35 of the paper's drop test; the paper's own
-simulation rebounded less than the drop test, too.
+"""The law of the paper about this rig. It gives a restitution of 0.309 for the nominal 0.35 of the paper's drop test.
+The sphere also rebounded less in the paper's own simulation than in the drop test.
 """
 HuGuo = _published(
     "hu_guo", "3(1 − e)/(2e)", 0.325, "Hu & Guo (2015), Multibody Syst. Dyn. 35, 131–151", lambda e: 1.5 * (1.0 - e) / e

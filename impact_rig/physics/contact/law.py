@@ -21,8 +21,8 @@ compiled, in the library or at its first use. Its `Force` holds the constants th
 
 - `w`: √δ [m^0.5] with δ the indentation [m]; contacts are integrated in this variable.
 - `speed`: δ' [m/s], positive while the indentation grows.
-- `turned_at`: the largest w so far in this contact [m^0.5] while the indentation is smaller than there, 0 on the first
-  way in and beyond that largest w. A law with a memory has one branch for each of the two cases.
+- `turned_at`: 0 while the contact loads, which means that the indentation grows and is the largest so far. Otherwise
+  the largest w so far in this contact [m^0.5]. A law with a memory has one branch for each of the two cases.
 - `per_v0`: 1 / approach speed of this contact, with a lower limit of the speed [s/m].
 - `elastic`: the part of F that the stored energy gives back [N].
 - `lossy`: the rest of F [N]. The contact loses the power lossy · δ' [W].
@@ -69,7 +69,8 @@ class Force(NamedTuple):
         lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
         scale_free: whether all contacts are equal in units made of their own speed and time scale, so that they can be
             tabulated; needs a `factor` without dimension.
-        remembers: whether the force depends on `turned_at`. Such a law may ring undamped; slow ringing is averaged.
+        remembers: whether the force depends on `turned_at`. A pressed sphere may ring undamped under such a law; a
+            ringing slower than `contact.speed_floor_m_s` is replaced by its position of rest.
         rigid: whether a contact takes no time; its force is never evaluated.
     """
 
@@ -85,7 +86,7 @@ class Force(NamedTuple):
 
 
 class ContactPair(NamedTuple):
-    """Sphere and superior base, as a law's constants need them: Hertz stiffness [N/m^1.5], effective mass [kg]."""
+    """Sphere and superior base as a pair: the Hertz stiffness [N/m^1.5] and effective mass [kg] that laws need."""
 
     hertz_stiffness: float
     effective_mass: float
@@ -196,9 +197,9 @@ def name_of(function: ForceFunction) -> str:
 def compiled_force(function: ForceFunction) -> CompiledForce:
     """Return a law's force function in the form that the kernels of this process can call.
 
-    It is taken from the kernel library, or else compiled by Numba. Without Numba, compiled code calls back into plain
-    Python, which is several hundred times slower, and a warning is logged. In mode `plain` the function itself is
-    called.
+    The compiled function is taken from the kernel library, or else compiled by Numba. If the library lacks it and Numba
+    is not installed, compiled code calls back into plain Python, which is several hundred times slower, and a warning
+    is logged. In mode `plain`, in which kernels run as Python, they call the function itself.
     """
     name, parts = name_of(function), ((at_point_of, AT_POINT), (at_stages_of, AT_STAGES))
     if kernels.MODE == "plain":
@@ -214,7 +215,9 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
         found = [jit.pointer(around(inner), kind) for around, kind in parts]
         return CompiledForce(*(one if kernels.MODE == "jit" else Pointer(one.address, one) for one in found))
     logging.getLogger(__name__).warning(
-        "the contact force %s runs as plain Python, several hundred times slower: pip install impact-rig[jit]", name
+        "the contact force %s runs as plain Python, several hundred times slower than compiled: to compile it, run "
+        "pip install impact-rig[jit]",
+        name,
     )
     return CompiledForce(*(_callback(around(_reported(function, name)), kind) for around, kind in parts))
 
@@ -232,9 +235,9 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 
 
 def _finite(force: Any) -> Any:
-    """Return a function that calls the compiled `force`, and returns NaN if that raises.
+    """Return a function that calls the compiled `force`, and returns five NaN if the call raises an exception.
 
-    NaN ends the contact and, with a SimulationError, the run.
+    NaN ends the contact without a solution, and the simulation then ends with a SimulationError.
     """
 
     def finite(
@@ -268,8 +271,8 @@ def raise_failure() -> None:
 def _callback(function: Callable[..., None], kind: Function) -> Pointer:
     """Return a pointer through which compiled code calls a Python function that evaluates a force, of the type `kind`.
 
-    The function gets its records by address. If it raises, the exception is kept for `raise_failure`, and the forces in
-    the last record, the step, are set to NaN, which ends the contact.
+    The function gets its records by address. If it raises an exception, `raise_failure` raises it again later, and the
+    forces in the last record, the step, are set to NaN, which ends the contact.
     """
     layout: Any = np.ctypeslib.as_ctypes_type
     types: list[Any] = [
