@@ -13,8 +13,9 @@
 # limitations under the License.
 """`RigDriver`: the interface by which a program drives a rig, in this process or over ROS topics.
 
-Rig time advances only in `step`, by whole blocks of scans; for a rig that runs by itself, `step` waits for the blocks
-instead. Inputs take effect at exact samples. Everything that the rig publishes is read as tables.
+Rig time (the simulated time) advances only in `step`, by whole blocks of scans, 10 ms each by default. A rig that runs
+by itself advances with its own clock, and `step` waits for its blocks instead. Inputs take effect at exact scans. What
+the rig publishes is read as tables.
 """
 
 from __future__ import annotations
@@ -56,18 +57,18 @@ class NotReachedError(ImpactRigError, AssertionError):
 
 
 class NoSamplesError(ImpactRigError, TimeoutError):
-    """Lack of samples: the stream that drives a rig has none for the next block, so the rig cannot advance."""
+    """Lack of drive samples: the stream that drives a rig has none for the next block, so the rig cannot advance."""
 
 
 class StreamLevel(NamedTuple):
     """State of the buffer in a rig that holds the samples of its drive (`drive.waveform: stream`).
 
     Attributes:
-        sample: number of the next sample to play.
-        buffered: number of samples from there on, up to the first gap.
+        sample: number of the next sample to play, counted from scan 0.
+        buffered: number of samples in the buffer from `sample` on, up to the first gap.
         capacity: number of samples that the buffer can hold.
         late: number of samples dropped because they arrived too late, since the start or the last reset of the rig.
-        missing: number of samples that had not arrived when they were needed, counted likewise.
+        missing: number of samples that had not arrived when the rig needed them, since the same moment.
     """
 
     sample: int
@@ -85,7 +86,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Reentrant lock that threads get in the order in which they ask for it, so that none has to wait for ever."""
+    """Reentrant lock that a thread cannot take again before one that waits for it, so that none waits for ever."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -148,7 +149,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks; return when the pipeline under test, if any, has processed all of them.
+        """Advance by whole blocks of scans; return when the nodes under test, if any, have processed all of them.
 
         Args:
             blocks: number of blocks.
@@ -224,7 +225,10 @@ class RigDriver(abc.ABC):
 
     @property
     def waiting(self) -> str:
-        """Reason why a measurement is not finished, for example that the sphere may still strike; empty if unknown."""
+        """Reason why the analysis delays its next measurement, for example that the sphere may still strike.
+
+        It is empty if nothing delays it, or if the rig has no analysis or does not know.
+        """
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
@@ -233,7 +237,8 @@ class RigDriver(abc.ABC):
     def connect(self, listener: Callable[[Table], object]) -> None:
         """Call a function with every block of scans from now on, in order, while the rig advances.
 
-        Blocks that a fault loses are left out. An exception of the function ends the call that advances the rig.
+        Blocks that an instrument fault withholds are left out. An exception of the function ends the call that advances
+        the rig.
 
         Args:
             listener: function that gets each table of `daq/scan`.
@@ -288,7 +293,7 @@ class RigDriver(abc.ABC):
 
     @property
     def time_s(self) -> float:
-        """Rig time of the next block since the start or the last reset [s]."""
+        """Rig time at which the next block begins, since the start or the last reset [s]."""
         return self.sample / self.rate_hz
 
     def run(self, seconds: float) -> None:
@@ -303,7 +308,7 @@ class RigDriver(abc.ABC):
         self.step(math.ceil(seconds * self.rate_hz / self.block_scans - 1e-9))
 
     def run_to_sample(self, sample: int) -> None:
-        """Advance until a scan is the first one of the next block.
+        """Advance until the next block begins with a given scan.
 
         Args:
             sample: number of the scan, from 0 at the start or reset.
@@ -391,7 +396,7 @@ class RigDriver(abc.ABC):
 
     @staticmethod
     def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
-        """Return the messages that are kept of a topic, from `kept`: all messages that are kept, by topic.
+        """Return the entry of a topic in `kept`, which has the kept messages of each topic.
 
         Raises:
             ConfigError: the rig keeps no messages of this topic; the message lists the topics that it keeps.
@@ -461,7 +466,8 @@ class RigDriver(abc.ABC):
         """Return the ranges of scans that were measured but not published since the last `clear` or reset.
 
         Returns:
-            Pairs of the first scan of a range and the one after its last, in order; empty if there is none.
+            Pairs (number of the first scan of a range, number of the scan after its last), in order; empty without a
+            loss.
         """
         lost, expected = [], self._kept_from
         for table in self.tables():
@@ -491,16 +497,16 @@ class RigDriver(abc.ABC):
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans."""
+        """Instrument faults that the configuration plans (`instruments.faults.planned`)."""
         return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports
 
     def report(self) -> str:
-        """Return a report of several lines for a failed test.
+        """Return a report about this rig, of several lines, for a failed test.
 
-        It has the settings that differ from the defaults, the faults, the first five ranges of lost scans, and the last
-        ten commands of the drive.
+        It lists the settings that differ from the defaults, the faults, the first five ranges of scans that were not
+        published, and the last ten changes of the drive.
         """
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
@@ -530,13 +536,15 @@ class RigDriver(abc.ABC):
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
-    """Return the first scan from number `sample` on at which a command can act: they act every 10 ms of rig time."""
+    """Return the number of the first scan, from `sample` on, at which a command can act: one in 10 ms of rig time."""
     tick = -(-sample * TICKS_PER_S // rate_hz)
     return -(-tick * rate_hz // TICKS_PER_S)
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: `config`, or the defaults with the values in it, and the planned faults added.
+    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values.
+
+    The `faults` are added to the planned faults of the configuration (`instruments.faults.planned`).
 
     Raises:
         ConfigError: a key is unknown, or a value or fault is invalid.
@@ -544,4 +552,5 @@ def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fa
     if not isinstance(config, RigConfig):
         config = from_flat(RigConfig(), config or {})
     lines = [fault.line(config.daq.rate_hz) for fault in faults]
-    return from_flat(config, {"instruments.faults.planned": lines}) if lines else config
+    planned = [*config.instruments.faults.planned, *lines]
+    return from_flat(config, {"instruments.faults.planned": planned}) if lines else config

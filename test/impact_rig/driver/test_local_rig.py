@@ -90,6 +90,12 @@ def test_planned_and_injected_faults_begin_and_end_at_their_samples() -> None:
         rig.inject(Fault(kind="dropout", channel="current", start_sample=6011))
 
 
+def test_given_faults_are_added_to_those_of_the_configuration() -> None:
+    config = {"instruments.faults.planned": ["dropout channel=base"]}
+    rig = LocalRig(config, [Fault(kind="dropout", channel="laser")])
+    assert [fault.channel for fault in rig.faults] == ["base", "laser"]
+
+
 def test_the_pipeline_receives_each_block_before_the_next_and_can_send_commands() -> None:
     rig = LocalRig(LINEAR, [Fault(kind="lost_block", start_sample=2000, samples=150)])
     seen: list[int] = []
