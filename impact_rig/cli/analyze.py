@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig analyze`: analysis of a recorded run like that of the live node, or of the record as a whole."""
+"""Command `impact-rig analyze`: analysis of a recorded run like that of the live node, or as an option selects."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ DRAWN_CYCLES = 4
 
 
 def run_analyze(arguments: argparse.Namespace) -> int:
-    """Analyse a recorded run again, or do the analysis that an option selects; return the exit code.
+    """Run `impact-rig analyze`: analyse a run like the live analysis node, or as an option such as `--frf` selects.
 
-    Without such an option, it is 1 if the results differ from those of the live analysis, else 0.
+    Return the exit code: that of the selected analysis. Without such an option, it is 1 if the results differ from the
+    recorded ones of the live analysis, else 0.
     """
     console = Console(quiet=arguments.json)
     with open_run(arguments.path, arguments.rig) as run:
@@ -83,7 +84,10 @@ def _as_live(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _print_last(console: Console, rows: NDArray[np.void]) -> None:
-    """Print the newest settled measurement as a sentence; without one, the newest that did not settle, if any."""
+    """Print the newest settled measurement as a sentence.
+
+    If there is none, print so, and then the newest measurement that did not settle, if there is one.
+    """
     settled = rows[rows["settled"] == 1.0]
     if not len(settled):
         console.print("no settled measurement in this run")
@@ -108,7 +112,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
 def _print_measurements(console: Console, rows: NDArray[np.void], *, everything: bool) -> None:
     """Print a table with one row per measurement of a run.
 
-    Rows without numbers are printed only if `everything`; otherwise one line counts them by their status.
+    Measurements without a value of DT are printed only if `everything`; otherwise one line counts them by status.
     """
     measured = np.isin(rows["status"], [status.value.encode() for status in MEASURED])
     table = TextTable(right=("f [Hz]", "DT", "± 2u", "phase [deg]", "gap [mm]", "impacts per cycle"))
@@ -198,9 +202,9 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
-    """Return sentences that compare the distance of the lines with the width of the resonance.
+    """Return sentences that compare the distance of the frequency lines with the width of the resonance, both in Hz.
 
-    The last one is a warning if the lines are too far apart to show the resonance's peak.
+    If the lines are too far apart to show the height of the resonance's peak, the last sentence is a warning.
     """
     from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
 
@@ -223,7 +227,7 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
 
 
 def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `impact-rig analyze --sine`: print and draw the sine fitted to each channel, and the DT that follows.
+    """Run `impact-rig analyze --sine`: print and draw the sine fitted to each channel, and DT computed from them.
 
     Return exit code 1 if laser and base were measured but their sines give no valid DT, else 0.
     """
@@ -291,7 +295,7 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
-    """Check that the figure named `stem` can be written where `--figures` says, before the long analysis that it shows.
+    """Check, before a long analysis, that its figure `stem` can be written into the directory of `--figures`.
 
     Without `--figures`, do nothing.
     """

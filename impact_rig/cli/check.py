@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig check`: validation of a configuration file and of the instruments in it, without starting anything."""
+"""Command `impact-rig check`: validation of a configuration file and of its instruments, without starting a rig."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _POLARITY = {1: "right", 0: "no signal", -1: "reversed"}
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig check`; return exit code 1 if an instrument fails the check of `--instruments`, else 0.
+    """Run `impact-rig check`: print that a configuration is valid, and with `--instruments` a check of each channel.
+
+    Return exit code 1 if a channel fails this check, else 0.
 
     Raises:
         ConfigError: the configuration is invalid.
@@ -48,7 +50,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     console.print(
         f"{arguments.path}: valid; contact law {config.contact.law}, coefficient of restitution {law.restitution:g} "
-        f"(configured), {law.realised_restitution():.4f} (of the law's impacts)"
+        f"as configured, {law.realised_restitution():.4f} in simulated impacts"
     )
     checks = check_known_input(config) if arguments.instruments else []
     if arguments.json:

@@ -39,7 +39,7 @@ GROUP = "impact_rig.exporters"
 
 
 def run_export(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig export`: write the requested table to a file, print its path and return exit code 0.
+    """Run `impact-rig export`: write the requested table to a file, print the file's path and return exit code 0.
 
     Raises:
         ConfigError: the directory has no table of that name.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig fmu`: the rig as a co-simulation unit of the Functional Mock-up Interface."""
+"""Command `impact-rig fmu`: the rig as a co-simulation unit (FMU) of the Functional Mock-up Interface."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from impact_rig.rig.config import RigConfig, load_config
 
 
 def run_fmu(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig fmu`: write the configured rig as an FMU file, print its path and return exit code 0."""
+    """Run `impact-rig fmu`: write the configured rig as an FMU file, print the file's path and return exit code 0."""
     config = load_config(arguments.config) if arguments.config else RigConfig()
     write_fmu(config, arguments.path, arguments.fmi, arguments.kernels or FOLDER)
     Console().print(f"wrote the rig as a co-simulation unit for FMI {arguments.fmi}: {arguments.path}")

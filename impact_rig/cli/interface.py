@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig interface`: topics, services and parameters as a document, compared with another version's."""
+"""Command `impact-rig interface`: topics, services and parameters of this version, and changes from another version."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ Row = dict[str, Any]
 
 
 def run_interface(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig interface`: print the interface of this version, or with `--against` its differences.
+    """Run `impact-rig interface`: print the interface of this version, or with `--against` what changed since another.
 
-    Return exit code 1 if a difference breaks clients of the other version, else 0.
+    Return exit code 1 if a change breaks clients of that other version, else 0.
     """
     present = read(DOCUMENT)
     if not arguments.against:
@@ -135,9 +135,9 @@ def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
 
 
 def _whole(name: str) -> str | None:
-    """Return the topic in the name of a column (`topic T, column C`), or None for any other name.
+    """Return the topic that a column belongs to, from its name `topic T, column C`; None for any other name.
 
-    With it, the columns of a topic that is removed or new are not listed one by one.
+    `differences` uses it to list only the topic, and not each column, if a topic is removed or new.
     """
     topic, column, _ = name.partition(", column ")
     return topic if column else None
@@ -150,8 +150,8 @@ def _shown(value: object) -> str:
 def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
     """Return a function for `_BREAKS`: whether a changed quality of service breaks clients (OMG DDS 1.4, 2.2.3).
 
-    DDS connects no subscriber that requests more than its publisher offers. So a topic of the rig breaks its
-    subscribers if the new value is `less`, and an input of the rig breaks its publishers if the new value is `more`.
+    DDS connects no subscriber that requests more than its publisher offers. So subscribers of a topic of the rig break
+    if its new value is `less`, and publishers of an input of the rig break if its new value is `more`.
     """
     return lambda _was, now, row: bool(now == (more if row["taken"] else less))
 
@@ -182,7 +182,8 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
     "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
 }
-"""Functions that tell whether a change of a property breaks a client, by property: (value before, value after, row).
+"""Functions that return whether a change of a property breaks clients, by name of the property.
 
-A change of any other property always does.
+Arguments are the value before, the value after, and the properties after (`Row`). A change of a property that is not
+listed here always breaks clients.
 """

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 EXIT_ERROR = 1
 PROGRAM = "impact-rig"
 GROUP = "impact_rig.commands"
-"""Entry points through which packages contribute commands: a name, and the function that registers its parser."""
+"""Entry points through which packages contribute commands: the name, and the function that registers its parser."""
 HEADINGS = {
     "See it": ("lab", "demo"),
     "Recordings": ("record", "info", "analyze", "compare", "verify", "replay", "recover", "import", "export"),
@@ -119,7 +119,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _encodable(error: UnicodeError) -> tuple[bytes, int]:
-    r"""Return bytes for characters that stdout cannot encode, and where encoding goes on: an error handler of `codecs`.
+    r"""Return bytes for characters that stdout cannot encode, and the index at which encoding continues.
+
+    It is an error handler for `codecs.register_error`.
 
     Bytes of a file name that is not UTF-8 stay unchanged. Other characters are written as in JSON, `±` as `\u00b1`.
     """

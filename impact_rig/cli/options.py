@@ -54,7 +54,7 @@ def subcommand(
         commands: commands to which it is added, as passed to the function that registers it.
         name: name of the subcommand.
         run: function that runs it and returns the exit code, as `module:function`; None if it has subcommands.
-        sentence: effect of the subcommand, for the list of commands and the head of its help page.
+        sentence: what the subcommand does, for the list of commands and the head of its help page.
         examples: command lines without the program's name, each with its purpose, for the end of the help page.
         more: further information, printed below the examples, such as exit codes.
     """

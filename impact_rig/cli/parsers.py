@@ -125,7 +125,7 @@ class Analysis(NamedTuple):
 
 
 def analyses() -> Iterator[Analysis]:
-    """Return the analyses that the installed packages contribute to `impact-rig analyze`, one option each."""
+    """Return the analyses that installed packages add to `impact-rig analyze`, each with an option of its own."""
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
@@ -148,7 +148,7 @@ def add_analyze(commands: Commands) -> None:
     add_json(parser)
     parser.add_argument("--all", action="store_true", help="also print rows that have no value of DT, with the reason")
     add_run(parser)
-    instead = parser.add_argument_group("instead").add_mutually_exclusive_group()
+    instead = parser.add_argument_group("analyses instead of the usual one").add_mutually_exclusive_group()
     for analysis in analyses():
         analysis.add(instead)
     parser.add_argument(
@@ -226,8 +226,8 @@ def add_replay(commands: Commands) -> None:
             ("replay runs/demo/gap_6mm", "in real time"),
             ("replay runs/demo/gap_6mm --rate max --peers analysis", "as fast as the analysis follows"),
         ],
-        "The messages reach this machine only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set. Exit code 0: all were "
-        "published; 1: not, for the printed reason.",
+        "The messages reach this machine only, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set. Exit code 0: all messages "
+        "were published; 1: not all were, for the printed reason.",
     )
     parser.set_defaults(needs_ros=lambda _: True)
     add_run(parser)
@@ -255,7 +255,7 @@ def add_replay(commands: Commands) -> None:
     )
     parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
     parser.add_argument(
-        "--paused", action="store_true", help="start paused, until a call of /player/pause with `data: false`"
+        "--paused", action="store_true", help="start paused, until the service /player/pause is called with data: false"
     )
     parser.add_argument(
         "--delay",

@@ -46,8 +46,8 @@ _FORM = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)
 class Quantity:
     """Parser of a quantity with its unit, for `type=` of an option.
 
-    A length requires a unit, because 6 usually means 6 mm, which is 0.006 in a configuration. Any other quantity may
-    have no unit and is then in SI.
+    A length must have a unit, because people who write 6 usually mean 6 mm, and not 6 m. Any other quantity may be
+    written without one; it is then in the SI unit.
 
     Attributes:
         about: unit and allowed range of the value.
@@ -131,7 +131,7 @@ def positive(unit: str) -> Quantity:
 def add_field(
     parser: argparse.ArgumentParser, field: attrs.Attribute[Any], metavar: str | None = None, option: str = ""
 ) -> None:
-    """Add an option that sets a field of a configuration or plan, with the field's default, unit, range and meaning.
+    """Add an option that sets a field of a configuration or plan; default, unit, range and help come from the field.
 
     Args:
         parser: parser of a command.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`impact-rig record`: one recorded run at one frequency and current, with its transmissibility."""
+"""Command `impact-rig record`: one recorded run at one frequency and current, with its transmissibility."""
 
 from __future__ import annotations
 
@@ -47,7 +47,10 @@ NEGLIGIBLE = 1e-6  # share of the variance below which a line of the budget is n
 
 
 def run_record(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig record`; return exit code 1 if the run ended early or DT was not measured, else 0."""
+    """Run `impact-rig record`: record a run, and print its DT (displacement transmissibility) and its directory.
+
+    Return exit code 1 if the run ended early or DT was not measured, else 0.
+    """
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
     directory = run_directory(arguments.output, "record")
@@ -83,9 +86,10 @@ def run_record(arguments: argparse.Namespace) -> int:
 
 
 def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
-    """Return the configuration of the rig to start and its gap [m]; set default frequency and current in `arguments`.
+    """Return the configuration of the rig to start, and its gap [m], 0 without a sphere.
 
-    For a running rig, which keeps its configuration and gap, the returned values have no meaning.
+    A frequency or current that is not given is set to its default in `arguments`. For a running rig, which keeps its
+    configuration and drive, nothing is set, and the returned values have no meaning.
 
     Raises:
         ConfigError: an option does not apply to a running rig, or the drive of the configuration is not a sine of
@@ -170,7 +174,13 @@ def _measured(directory: Path) -> RunMeasurements:
 
 
 def _why_nothing(found: RunMeasurements, seconds: float, early: str) -> str:
-    """Return why a run of this many seconds, which ended early for a reason or not (empty), has no DT."""
+    """Return why a run has no DT, as text.
+
+    Args:
+        found: measurements of the run, none of which is settled.
+        seconds: length of the run in rig time [s].
+        early: reason why the run ended early; empty if it has its full length.
+    """
     statuses = found.everything["status"].tolist()
     if not statuses:
         remedy = "" if early else "; use a longer --seconds"

@@ -29,7 +29,10 @@ from impact_rig.simtime import NS_PER_S
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig info`; return exit code 1 if the run is damaged or incomplete, else 0."""
+    """Run `impact-rig info`: print the contents of a run, and whether it is complete.
+
+    Return exit code 1 if the run is damaged or incomplete, else 0.
+    """
     found = info(arguments.path)
     if arguments.json:
         tell_json(_info_content(found))
@@ -84,7 +87,9 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 
 
 def run_verify(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig verify`; return exit code 1 if the simulation does not repeat the run bit for bit, else 0.
+    """Run `impact-rig verify`: simulate a run again from its journal, and print whether every bit is the same.
+
+    Return exit code 1 if a bit of a recorded topic of the rig differs, else 0.
 
     Raises:
         RecordingError: the run cannot be read or verified.
@@ -107,11 +112,14 @@ def run_verify(arguments: argparse.Namespace) -> int:
     return 0 if found.identical else 1
 
 
-LISTED = 20  # largest number of places that are listed
+LISTED = 20  # largest number of damaged places that are listed
 
 
 def run_recover(arguments: argparse.Namespace) -> int:
-    """Run `impact-rig recover`; return exit code `INCOMPLETE` if something of the run is missing, else 0."""
+    """Run `impact-rig recover`: save the intact parts of a run as a new run, and print what is missing.
+
+    Return exit code `INCOMPLETE` if something of the run is damaged or missing, else 0.
+    """
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:
         tell_json(_recover_content(report))

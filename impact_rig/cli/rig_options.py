@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Values of the options of a command that drives a rig: its configuration, where it runs, the directory of its run."""
+"""Selections by the options of a command that drives a rig: configuration, where it runs, directory of the run."""
 
 from __future__ import annotations
 
@@ -49,7 +49,11 @@ def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
 
 
 def refuse_for_running(arguments: argparse.Namespace, *names: str) -> None:
-    """Refuse options that describe a rig to start if the command uses a rig that is already running.
+    """Raise an error if one of these options, which describe a rig to start, is given for a running rig.
+
+    Args:
+        arguments: parsed arguments, including those of `add_rig`.
+        names: names of the options in `arguments`, such as `sphere_start` for `--sphere-start`.
 
     Raises:
         ConfigError: one of the options was given with `--through running`.
@@ -73,7 +77,7 @@ def open_rig(
 
     Args:
         arguments: parsed arguments, including those of `add_rig`.
-        config: configuration of a rig to start; behind topics it runs as fast as recorder, analysis and this program
+        config: configuration of a rig to start. In ROS nodes, it runs as fast as recorder, analysis and this program
             follow.
         record: directory of the run.
         required: configuration values that a running rig must have; with other values it is rejected.

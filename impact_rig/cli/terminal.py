@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Output of text to the terminal, common to all commands.
+"""Output of text, tables, progress and JSON to the terminal, used by all commands.
 
 No part of a text is interpreted as markup, emoji or control character, because names of files and topics and texts of
 recordings and campaigns may contain anything. Colours are set by `style`, never inside a text. `NO_COLOR` in the
@@ -49,13 +49,13 @@ from impact_rig.system.files import plain
 LONGEST_HEADING = 11  # longest heading, in characters, above numbers that stays in one line
 LONGEST_WORD = 12  # longest word, in characters, in a cell that is not split
 LARGEST_WIDTH = 10_000  # largest width of a table, in characters
-LONGEST_TEXT = 20_000  # longest text, in characters; longer output is printed sentence by sentence
+LONGEST_TEXT = 20_000  # longest text [characters] of one call of `print`; a longer one loses its middle
 LINES = 50  # approximate number of lines of a progress report without a terminal
 BYTES = re.compile("[\ud800-\udfff]")  # surrogates, by which Python represents bytes of a file name that are not UTF-8
 
 
 class Console(rich_console.Console):
-    """Terminal that shows every text literally.
+    """Terminal output that shows every text literally, without markup and with control characters escaped.
 
     Args:
         quiet: whether to print nothing, because the command prints its results as JSON.
@@ -71,12 +71,15 @@ class Console(rich_console.Console):
         super().print(*objects, **{**whole, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as rich draws it: without markup, with control characters escaped. Rich calls this method."""
+        """Return a text as rich draws it: without markup, control characters escaped, shortened beyond `LONGEST_TEXT`.
+
+        Rich calls this method.
+        """
         return super().render_str(one_line(text, LONGEST_TEXT), **{**options, "markup": False, "emoji": False})
 
 
 class TextTable(rich_table.Table):
-    """Table for 80 columns, in which units are below their names, and numbers and units are never truncated.
+    """Table for a terminal of 80 columns: units are below their names, and numbers and units are never truncated.
 
     Its columns are first those with texts (`left`), then right-aligned numbers (`right`), then further texts (`last`).
     """
@@ -109,7 +112,7 @@ class TextTable(rich_table.Table):
     def __rich_console__(
         self, console: rich_console.Console, options: rich_console.ConsoleOptions
     ) -> rich_console.RenderResult:
-        """Draw the table: on a narrow terminal it stays as wide as its numbers and longest words need."""
+        """Draw the table: on a narrow terminal it stays as wide as its numbers and words of up to 12 letters need."""
         for column in self.columns:
             words = (word for cell in column.cells for word in str(cell).split())
             longest = min(LONGEST_WORD, max(map(len, words), default=0))
@@ -132,13 +135,13 @@ class Words(TextColumn):
 
 
 class Steps:
-    """Progress of counted items as lines on stderr, if there is no terminal for a bar."""
+    """Progress of counted items as lines on stderr, for use without a terminal."""
 
     def __init__(self, what: str, total: int) -> None:
         self._what, self._total, self._shown = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line with the number of finished items and a state; of many calls, only about 50 print one."""
+        """Print a line with the number of finished items and a state; of many calls, only 50 to 100 print one."""
         every = max(1, self._total // LINES)
         if done // every > self._shown // every or done == self._total > self._shown:
             self._shown = done
@@ -147,7 +150,7 @@ class Steps:
 
 
 class Counted(Progress):
-    """Progress of counted items, reported with `show`: a bar on a terminal, otherwise an occasional line."""
+    """Display of the progress of counted items, which `show` reports: a bar on a terminal, otherwise some lines."""
 
     def __init__(self, console: Console, what: str, total: int) -> None:
         columns = (
@@ -177,7 +180,7 @@ class Counted(Progress):
 
 
 def counted(words: Iterable[bytes]) -> str:
-    """Return how often each of some words occurs, as in `2 silence, 1 spikes`, in alphabetical order."""
+    """Return how often each of some words occurs, in alphabetical order of the words, as in `2 silence, 1 spikes`."""
     return ", ".join(f"{count} {word.decode()}" for word, count in sorted(Counter(words).items()))
 
 

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Client of a rig's graph: it waits for conditions, sends commands, steps, sets parameters and collects topics.
+"""ROS client of a rig and its nodes: it waits for conditions, sends commands, sets parameters and collects topics.
 
 The client runs its callbacks (spins) in the caller's thread, and only while it waits. It starts no thread and never
 sleeps for a fixed time. Every wait has a deadline and an error message that names what was awaited. If node processes
-are given (`processes`), a wait also ends when one of them dies; the error then quotes the end of its log.
+are given (`processes`), a wait also ends when one of them ends; the error then quotes the last lines of its log.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Received:
 
     Attributes:
         data: the message, or its CDR bytes on a topic with tables.
-        sequence: DDS publication sequence number: each publisher counts its messages, without gaps.
+        sequence: DDS publication sequence number; each publisher numbers its messages without gaps.
         received_system_ns: system time at which the callback ran [ns since 1970]; comparable with stamps of a rig in
             real time.
         table: decoded table; None on a topic without tables.
@@ -111,12 +111,12 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Call this function, in addition to earlier ones, after each message that is kept from now on."""
+        """Call `on_message`, in addition to functions given earlier, after each message that is kept from now on."""
         self._on_message.append(on_message)
 
     @property
     def messages(self) -> list[Any]:
-        """Messages received and kept, oldest first; on topics with tables, as CDR (serialised) bytes."""
+        """Messages received and kept, oldest first; on a topic with tables, each as CDR (serialised) bytes."""
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
@@ -167,19 +167,19 @@ Check = Callable[[], None]  # raises an error if the wait has become pointless
 
 
 def patiently() -> None:
-    """Do nothing: the default check of a wait, which then ends only when its condition is met or its time is over."""
+    """Do nothing: the default `Check` of a wait, which considers no wait pointless."""
 
 
 class RigGoneError(GoneError):
-    """Loss of the rig that a client addresses: it ended, was replaced or became silent, so waiting is pointless."""
+    """Loss of the rig that a client waits for: it ended, was replaced by another one, or reports its state no more."""
 
 
 class AddressedActivation:
-    """Record of which activation of a rig a client addresses, so that a wait ends when that rig is gone.
+    """Record of which activation of a rig a client addresses, so that a wait ends when that activation is over.
 
     Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
-    that receives it. Before you wait for its effect, call `given`; the check that it returns raises as soon as that
-    activation has ended, been replaced or become silent.
+    that receives it. Before you wait for the effect of a command, call `given`. The check that it returns raises an
+    error once that activation has been replaced, or once the rig has not reported for two seconds.
 
     Args:
         clock: monotonic clock [s].
@@ -194,7 +194,7 @@ class AddressedActivation:
 
     @property
     def is_overdue(self) -> bool:
-        """Return whether a rig that has reported before has not reported for more than one second."""
+        """Return whether a rig that has reported before has now been silent for more than a second."""
         return self._is_there and self._clock() - self._reported_at > DIAGNOSTICS_PERIOD_S
 
     @property
@@ -203,9 +203,10 @@ class AddressedActivation:
         return self._clock() - self._changed_at <= DELIVERY_S
 
     def heard(self, instance: str) -> None:
-        """Note that a rig has just reported with this identifier of its activation; call this in the order of arrival.
+        """Register that a rig has just reported its state, with this identifier of its activation.
 
-        Diagnostics of the previous rig that arrive just after `changed` do not count as a new rig.
+        A report of the previous activation that arrives up to 50 ms after `changed` does not count as one of a new
+        activation.
         """
         self._identify()
         self._reported_at = self._clock()
@@ -215,18 +216,23 @@ class AddressedActivation:
             self._first = self._first or instance
 
     def changed(self) -> None:
-        """Note that the rig may be a new one, as after a transition: later waits concern the rig that reports next."""
+        """Register that a new activation may have begun, as after a transition.
+
+        Later waits concern the activation that reports next.
+        """
         self._previous, self._instance, self._changed_at = self._instance or self._previous, "", self._clock()
         self._first = ""
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Address the same rig as before `changed` if no other one has reported since: it is still the same rig."""
+        """Address the activation of before `changed` again if it, and no other one, has reported since."""
         if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
-        """Return a check that raises `RigGoneError` once the rig that is addressed now is gone.
+        """Return a check that raises `RigGoneError` once the activation that is addressed now is over.
+
+        It is over if another activation has reported, or if no report has arrived for some time.
 
         Args:
             what: what the rig was asked to do, for the message.
@@ -254,14 +260,14 @@ class AddressedActivation:
 
 
 class Spinner:
-    """Execution of an executor's callbacks in the caller's thread, with a clock for time limits."""
+    """Execution of an executor's callbacks in the caller's thread, with a clock for the time limits of waits."""
 
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return the time on a clock for time limits [s], which stops while a callback is busy: it may compile."""
+        """Return the time [s] on a clock for time limits that stops while a callback runs, as that may compile code."""
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
@@ -292,7 +298,7 @@ TRANSITIONS = {
 
 
 class ServiceFailedError(ImpactRigError, RuntimeError):
-    """Negative answer of a service; the message is the one of the service."""
+    """Negative answer of a service; the message has the name of the service or node, and its reason."""
 
 
 class Client:
@@ -470,7 +476,7 @@ class Client:
             self._address(node)
 
     def _address(self, node: str) -> None:
-        """Address the activation of the rig `node` that runs now, after a transition; no effect for other nodes."""
+        """Address the activation that runs after a transition of the rig `node`; no effect for other nodes."""
         if node in self._rigs:
             received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
@@ -480,12 +486,12 @@ class Client:
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node in this process, and run it in this client's executor, ROS context and namespace.
 
-        No thread is started: the node works only while the client waits. If `make_node` accepts no keyword arguments
-        for `Node`, the node gets the context as rclpy's default one, and no namespace.
+        No thread is started: the node works only while the client waits. If `make_node` has no parameter `**kwargs`
+        for the arguments of `Node`, the node gets the context as rclpy's default one, and no namespace.
 
         Args:
             make_node: class or function that creates the node.
-            kwargs: its arguments.
+            kwargs: arguments of `make_node`.
 
         Returns:
             The node.
@@ -510,7 +516,7 @@ class Client:
         node.destroy_node()
 
     def acknowledge_callbacks(self, node: Any) -> int:
-        """Acknowledge every block of daq/scan on behalf of a hosted node, after its callback has returned or raised.
+        """Acknowledge every block of daq/scan on behalf of a hosted node, once its callback has returned or raised.
 
         The node itself needs no knowledge of daq/ack.
 
@@ -541,8 +547,8 @@ class Client:
             timeout_s: time limit for each step of the exchange with the rig [s].
 
         Returns:
-            Row of shaker/applied that the last command caused, the current if both are given; its `sample` is the
-            first scan that it acts on.
+            Row of shaker/applied that the command caused (the current's if both values are given); its `sample` is the
+            number of the first scan that the command acts on.
 
         Raises:
             CommandError: the rig rejected the command; the message is that of the rig.
@@ -569,7 +575,7 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return a function that returns "" until the rig rejects an input, and from then on the rig's message.
+        """Return a function that returns "" until the rig rejects a further input, and then the rig's message.
 
         A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected inputs of
         other senders therefore count, too.
@@ -601,17 +607,17 @@ class Client:
         listener: str | None = None,
         check: Check = patiently,
     ) -> None:
-        """Publish a message once it will reach all present subscribers of the topic, so that none misses it.
+        """Publish a message as soon as the publisher is connected with all subscribers that the ROS graph lists.
 
         Args:
             topic: entry of `impact_rig.topics`.
             message: the message, or its CDR bytes.
             timeout_s: longest wait for the subscribers [s].
-            listener: name of a node that must be among them; None means that any one suffices.
+            listener: name of a node that must be among them; None means that one subscriber, of any node, suffices.
             check: raises an error if the wait has become pointless, see `given`.
 
         Raises:
-            TimeoutError: no such subscriber appeared in time; nothing is published.
+            TimeoutError: no such subscriber was connected in time; nothing is published.
         """
         publisher = self.publisher(topic)
         self._reach(publisher, topic, timeout_s, listener, check)
@@ -629,13 +635,13 @@ class Client:
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a rig that is in lockstep or paused.
+        """Advance a rig that is in lockstep or paused by one step.
 
-        It returns when the last block is published and every peer has acknowledged it.
+        It returns when the blocks of the step are published and every peer has acknowledged them.
 
         Args:
-            blocks: number of blocks, which is set as the rig's parameter `step.blocks` and stays; None means its
-                present value.
+            blocks: number of blocks of a step: the rig's parameter `step.blocks` is set to it, for later steps, too.
+                None leaves the parameter unchanged.
             timeout_s: time limit [s], by default 240: the first step may have to compile the physics.
 
         Returns:
@@ -670,13 +676,13 @@ class Client:
         Args:
             name: service name, relative to the namespace.
             timeout_s: time limit for the service to appear, and again for its answer [s].
-            may_be_silent: whether to continue to wait if the rig does not report for a while.
+            may_be_silent: whether to continue to wait even if the rig does not report its state for seconds.
 
         Returns:
             The message of the service.
 
         Raises:
-            ImpactRigError: the service answered `success = False`; the message is the one of the service.
+            ImpactRigError: the service answered `success = False`; the message has its name and its reason.
             TimeoutError: the service did not appear or did not answer in time.
         """
         return _succeeded(name, self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent))
@@ -698,8 +704,8 @@ class Client:
             name: service name, relative to the namespace.
             request: the request.
             timeout_s: time limit for the service to appear, and again for its answer [s].
-            repeatable: whether the request may be sent again every 2 s until the answer arrives.
-            may_be_silent: whether to continue to wait if the rig does not report for a while.
+            repeatable: whether to send the request again every 2 s until the answer arrives.
+            may_be_silent: whether to continue to wait even if the rig does not report its state for seconds.
 
         Returns:
             The response of the service.
@@ -721,7 +727,7 @@ class Client:
     def prepare(self, service_type: Any, name: str) -> Any:
         """Return the rclpy client of a service, created at the first call.
 
-        Call this early: discovery of the service then proceeds before the first request.
+        If you call it early, ROS discovers the service before the first request.
 
         Args:
             service_type: class of the service.
@@ -735,7 +741,7 @@ class Client:
     # Parameters and lifecycle
 
     def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> None:
-        """Set parameters of a node; all of them or none.
+        """Set parameters of a node: all of them, or none if one is rejected.
 
         Args:
             node: node name.
@@ -873,11 +879,11 @@ class Client:
         return collector
 
     def acknowledge_for(self, peer: str, stamp_ns: int) -> None:
-        """Acknowledge daq/scan up to a block, on behalf of a peer that does not do so itself.
+        """Acknowledge all blocks of daq/scan up to one, on behalf of a node that does not do so itself.
 
         Args:
-            peer: name of the peer.
-            stamp_ns: stamp of the block [ns].
+            peer: name of the node, as in the rig's parameter `time.peers`.
+            stamp_ns: stamp of the last of these blocks [ns].
         """
         if peer not in self._acknowledgements:
             self._acknowledgements[peer] = Template(Header(frame_id=peer))
@@ -912,14 +918,17 @@ class Client:
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
-        """Wait until the subscribers of a topic are matched, including the node `listener`; see `publish`."""
+        """Wait until a publisher is connected with the subscribers of its topic, including the node `listener`.
+
+        `publish` describes the arguments. A publisher that was connected once is not checked again.
+        """
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)
             self.wait_until(matched, f"{listener or 'a node'} to subscribe to {topic.name}", timeout_s, check)
             self._matched.add(publisher)
 
     def _receive_applied(self) -> None:
-        """Receive all commands applied before this client started, so that none passes for the answer to a new one.
+        """Receive the changes of the drive applied before this client started, so that none counts as a new command's.
 
         It waits at most 1 s, because a rig that has not started has applied none.
         """
@@ -1002,7 +1011,7 @@ def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
 
 
 def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
-    """Return a topic that any node publishes, with a quality-of-service profile that suits its first publisher.
+    """Return the description of a topic of any node, and a quality-of-service profile that suits its first publisher.
 
     Returns None if `node` has not discovered a publisher of the topic.
     """
@@ -1016,7 +1025,7 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
 
 
 def _succeeded(name: str, response: Any) -> str:
-    """Return the message of a service's response; raise it if the service has failed."""
+    """Return the message of a service's response; raise a `ServiceFailedError` with it if `success` is false."""
     if not response.success:
         raise ServiceFailedError(f"{name}: {response.message}")
     return str(response.message)
@@ -1038,7 +1047,7 @@ def _then(callback: Callable[..., Any], acknowledge: Callable[[int], None]) -> C
 
 @contextlib.contextmanager
 def as_default(context: Context) -> Iterator[None]:
-    """Make this context rclpy's default one within the block, for nodes that are created without a context."""
+    """Make this context rclpy's default one within the `with` statement, for nodes created without a context."""
     utilities: Any = rclpy.utilities
     before, utilities.g_default_context = utilities.g_default_context, context
     try:

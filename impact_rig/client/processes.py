@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Node processes: started in their own process groups, watched, and ended in order.
+"""Node processes: started in their own process groups, watched, and ended with time to clean up.
 
-If one dies, the error quotes the last lines of its log. This module needs no rclpy; the processes are the real console
-programs. In an isolated domain (`isolated_domain`), no other node on this machine or network can interfere.
+If one ends unexpectedly, the error quotes the last lines of its log. This module needs no rclpy; the processes run the
+real programs of the nodes. In an isolated domain (`isolated_domain`), no other node on this machine or network can
+interfere.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ class NodeProcess:
 
 
 class Processes:
-    """Group of node processes on one ROS domain; all of them end with the context manager.
+    """Group of node processes on one ROS domain; leaving it as a context manager ends all of them.
 
     Args:
         domain_id: ROS domain of the nodes, see `isolated_domain`.
@@ -136,7 +137,7 @@ class Processes:
         """Start one node as a process, and return without waiting until it is active.
 
         Args:
-            node: one of `NODES`, or the name of a module to run; with `command`, only the node's label.
+            node: one of `NODES`, or the name of a module to run; with `command`, only the default of `name`.
             parameters: ROS parameters, `section.key` -> value; they override the file.
             name: node name and name of its log file (default: `node`).
             parameters_file: ROS 2 parameter file.
@@ -260,20 +261,20 @@ def domain_of_environment() -> int:
     """Return the ROS domain of this process, from `ROS_DOMAIN_ID` (0 if it is not set).
 
     Raises:
-        ImpactRigError: `ROS_DOMAIN_ID` is not a number.
+        ImpactRigError: `ROS_DOMAIN_ID` is not a whole number, at least 0.
     """
     value = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not value.isdecimal():
-        raise ImpactRigError(f"ROS_DOMAIN_ID must be a number, got {value!r}")
+        raise ImpactRigError(f"ROS_DOMAIN_ID must be a whole number >= 0, got {value!r}")
     return int(value)
 
 
 @contextmanager
 def isolated_domain() -> Iterator[int]:
-    """Reserve a ROS domain until the end of the block, and yield its id: no node outside of this program uses it.
+    """Reserve a ROS domain until the end of the `with` statement, and yield its id: no other program's node uses it.
 
-    Two test workers never get the same id, because each locks a file while it uses one. A domain in which any process
-    of this machine takes part is skipped. Within the block, discovery of this process and its children is limited to
+    Two programs never get the same id, because each locks a file while it uses one. A domain in which any process of
+    this machine takes part is skipped. Within the statement, discovery of this process and its children is limited to
     this machine.
 
     Raises:
@@ -318,7 +319,7 @@ def isolated_domain() -> Iterator[int]:
 
 
 def is_in_use(domain_id: int) -> bool:
-    """Return whether a process of this machine takes part in a ROS domain: it has bound one of its UDP ports."""
+    """Return whether a process of this machine takes part in a ROS domain: one of the domain's UDP ports is in use."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         with contextlib.suppress(OSError):

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Service call in progress, whose request is sent again where that is safe.
+"""Service call in progress, whose request is sent again every 2 s if a second one does no harm.
 
 On a busy machine, DDS loses the answer to a client that the server has not discovered within 100 ms.
 """
@@ -43,7 +43,7 @@ REPEATABLE = (
 class ServiceCall:
     """Service call in progress: a request that has been sent, and its response.
 
-    Leaving the context manager gives the call up; a later response is ignored.
+    Leaving the context manager ends the call; a response that arrives later is ignored.
 
     Args:
         client: client of the service, which must be ready.
@@ -66,7 +66,7 @@ class ServiceCall:
             self._client.remove_pending_request(future)
 
     def response(self) -> Any:
-        """Return the response if one has arrived, else None; send a repeatable request again when it is due."""
+        """Return the response, or None if none has arrived; send a repeatable request again if 2 s have passed."""
         for future in self._sent:
             if future.done():
                 return future.result()

@@ -14,8 +14,8 @@
 """The rig as a multifunction board with buffered tasks, as programs see one with NI-DAQmx.
 
 The inputs `ai0` to `ai3` give the voltages of accelerometer, laser, base sensor and current monitor. The output `ao0`
-drives the shaker through an amplifier of 1 A/V. One thread advances rig time at the speed of wall time, and plays the
-samples of the output task.
+drives the shaker through an amplifier of 1 A/V. A thread of `Board` advances rig time at the speed of wall time (a
+running rig advances by itself), and plays the samples of the output task.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Code(enum.IntEnum):
 
 
 class DaqmxError(ImpactRigError):
-    """Error of a call, reported to the client by NI's number.
+    """Error of a call of NI-DAQmx: the client gets its message and NI's number of the error.
 
     Attributes:
         code: NI's number of the error.
@@ -101,12 +101,12 @@ class State(enum.Enum):
 
 @attrs.frozen
 class BoardChannel:
-    """Channel of a task.
+    """Channel of a DAQmx task: an input or output of the board, with the range and the unit of its values.
 
     Attributes:
         name: name of the channel within the task.
         physical: name of the channel on the board without the device, e.g. `ai0`.
-        device: name of the device.
+        device: name of the device, e.g. `Dev1`.
         low: smallest value of the range [unit of the channel].
         high: largest value of the range [unit of the channel].
         per_volt: value in the unit of the channel that corresponds to one volt at the board.
@@ -148,7 +148,7 @@ class DaqmxTask:
         channels: channels of the task.
         rate_hz: samples per second of its clock; 0 means no clock: each call reads or writes at once.
         samples: number of samples per channel of a finite task; None means a continuous task.
-        clock_samples: number of samples per channel as given with the clock.
+        clock_samples: number of samples per channel as given to `configure_clock`, for a continuous task, too.
         buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
         trigger: kind of the task whose start also starts this one; empty if it has no trigger.
         regenerates: whether an output repeats its buffer.
@@ -156,8 +156,8 @@ class DaqmxTask:
         state: state of the task.
         run: number of times that the task was started.
         begin_ns: wall time of its first sample [ns since 1970].
-        passed: number of samples that were read; of an output, that were passed to the rig.
-        written: number of samples written to an output.
+        passed: number of samples per channel since the start that were read; of an output, that were passed to the rig.
+        written: number of samples written to an output since the task was created.
         error: error that ended the task; None if there was none.
         acquisition: input of the rig while the task acquires; None for an output.
         output: output of the rig while the task generates; None for an input.
@@ -229,8 +229,8 @@ class DaqmxTask:
     def buffer_size(self) -> int:
         """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
 
-        NI-DAQmx makes the buffer of an output as large as the samples written before the start. That of an input
-        depends on rate and number of samples.
+        NI-DAQmx makes the buffer of an output as large as the samples written before the start. It makes the buffer of
+        a finite input as large as its number of samples; that of a continuous input depends on the rate.
         """
         if self.buffer_samples is not None:
             return self.buffer_samples
@@ -290,9 +290,13 @@ class Board:
             DaqmxError: a task of this name exists, or there are too many tasks.
         """
         if name in self.tasks:
-            raise DaqmxError(Code.DUPLICATE_TASK, f"a task named {name!r} exists already")
+            raise DaqmxError(
+                Code.DUPLICATE_TASK, f"a task named {name!r} exists already: clear it, or choose another name"
+            )
         if len(self.tasks) >= MOST_TASKS:
-            raise DaqmxError(Code.RESOURCE_RESERVED, f"more than {MOST_TASKS} tasks: clear some")
+            raise DaqmxError(
+                Code.RESOURCE_RESERVED, f"{MOST_TASKS} tasks exist, and more are not allowed: clear some of them"
+            )
         while not name or name in self.tasks:
             name = f"_unnamedTask<{self._named:X}>"
             self._named += 1
@@ -306,7 +310,7 @@ class Board:
             DaqmxError: there is no such task.
         """
         if name not in self.tasks:
-            raise DaqmxError(Code.INVALID_TASK, f"there is no task {name!r}")
+            raise DaqmxError(Code.INVALID_TASK, f"there is no task named {name!r}: create it first")
         return self.tasks[name]
 
     def clear(self, task: DaqmxTask) -> None:
@@ -319,7 +323,7 @@ class Board:
         """Return (device, channel) of each channel in a list such as `Dev1/ai0:3, Dev1/ai5`.
 
         Args:
-            text: channels of the board; `:` marks a range.
+            text: channels of the board, separated by commas; `:` marks a range.
             kind: "ai" or "ao".
 
         Raises:
@@ -339,7 +343,10 @@ class Board:
             step = 1 if last >= first else -1
             found += [(device, f"{kind}{number}") for number in range(first, last + step, step)]
         if not found:
-            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "no physical channel is given")
+            raise DaqmxError(
+                Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+                f"no physical channel is given: name at least one, e.g. {self.devices[0]}/{kind}0",
+            )
         return found
 
     def add_channels(
@@ -358,8 +365,8 @@ class Board:
             task: the task.
             kind: "ai" or "ao".
             physical: channels of the board, as for `physical_channels`.
-            name: name of the channel in the task, or of several ones with numbers appended; empty means that of the
-                board.
+            name: name of the new channel in the task; to several channels, it is given with 0, 1, … appended. Empty
+                means the name on the board, such as `Dev1/ai0`.
             limits: smallest and largest value of the range [unit].
             per_volt: value that corresponds to one volt [unit].
             unit: unit of the values.
@@ -369,7 +376,9 @@ class Board:
         """
         task.must_be_idle()
         if task.kind not in {"", kind}:
-            raise DaqmxError(Code.INVALID_TASK, "a task has inputs or outputs, not both")
+            raise DaqmxError(
+                Code.INVALID_TASK, "a task has inputs or outputs, not both: create a second task for the others"
+            )
         found = self.physical_channels(physical, kind)
         for number, (device, channel) in enumerate(found):
             if any(one.physical == channel for one in task.channels):
@@ -379,7 +388,9 @@ class Board:
         task.kind = kind
 
     def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
-        """Return the channels of a task that a list such as `Dev1/ai1:3, laser` names; all if the list is empty.
+        """Return the channels of a task that a list of their names, such as `Dev1/ai1:3, laser`, selects.
+
+        An empty list selects all channels.
 
         Raises:
             DaqmxError: the task has no such channel, or no channels.
@@ -392,7 +403,8 @@ class Board:
         missing = [name for name in found if name not in known]
         if missing or not known:
             what = f"channel {', '.join(missing)}" if missing else "channels"
-            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"task {task.name!r} has no {what}")
+            present = f"its channels are {', '.join(known)}" if known else "add channels first"
+            raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"task {task.name!r} has no {what}: {present}")
         return [known[name] for name in found] or task.channels
 
     def configure_range(
@@ -454,14 +466,15 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Let the start of a task of the other kind start this one too; an empty `source` removes the trigger.
+        """Let the start of the output task also start this input task, or the other way round.
 
         Args:
-            task: the task.
-            source: terminal of that task: `/Dev1/ai/StartTrigger` or `/Dev1/ao/StartTrigger`.
+            task: task to be started by the trigger.
+            source: start terminal of the other kind of task: `/Dev1/ai/StartTrigger` or `/Dev1/ao/StartTrigger`. An
+                empty text removes the trigger.
 
         Raises:
-            DaqmxError: the task is running, or there is no such terminal.
+            DaqmxError: the task is running, or the terminal is unknown or that of the task's own kind.
         """
         task.must_be_idle()
         match = re.fullmatch(r"/?[^/]+/(ai|ao)/StartTrigger", source, re.IGNORECASE)
@@ -471,13 +484,13 @@ class Board:
         task.trigger = match[1].lower() if match else ""
 
     def start(self, task: DaqmxTask) -> None:
-        """Start a task and those that it triggers; if it has a start trigger, make it wait for the trigger instead.
+        """Start a task and the waiting tasks that it triggers; a task with a start trigger only begins to wait for it.
 
-        A task that is running or waits for its trigger is left alone.
+        It has no effect on a task that is running or waits for its trigger already.
 
         Raises:
-            DaqmxError: it has no channels or samples, another task uses its channels, or the rig cannot run at its
-                rate.
+            DaqmxError: the task has no channels, an output task has no samples, another task is using the inputs or the
+                output, or the rig cannot run at the task's rate.
         """
         if task.is_active:
             return
@@ -504,7 +517,7 @@ class Board:
             self._trigger(rig, [task, *armed])
 
     def stop(self, task: DaqmxTask) -> None:
-        """Stop a task: acquired samples can no longer be read, and its error is cleared.
+        """Stop a task: its acquired samples are dropped, and its error is cleared.
 
         An output that does not repeat its buffer loses the samples that are still to be played.
         """
@@ -696,7 +709,7 @@ class Board:
     # Work of the thread
 
     def _pump(self) -> None:
-        """Advance rig time with wall time, and supply running tasks, until the board is closed; work of the thread."""
+        """Advance rig time with wall time, and supply running tasks, until the board is closed; run by its thread."""
         while not self._ended:
             with self.changed:
                 rig = self._rig
@@ -720,7 +733,7 @@ class Board:
         self.changed.notify_all()
 
     def _continue(self, task: DaqmxTask, rig: RigDriver) -> None:
-        """Do what a running task needs after a block: end a complete acquisition, or pass more samples to the rig."""
+        """Do what a running task needs after a block of scans: end a complete input, or pass samples to the rig."""
         if task.kind == "ai":
             if task.samples is not None and task.progress >= task.samples:
                 self._end(task, State.DONE)
@@ -800,13 +813,13 @@ class Board:
         return self._rig
 
     def _config_for(self, rates: dict[str, int]) -> RigConfig:
-        """Return the configuration of a rig with these rates, in blocks of 10 ms.
+        """Return the configuration of a rig with these rates, in blocks of 10 ms; of a running rig, its own.
 
         Args:
-            rates: rates [Hz] by configuration key.
+            rates: rates [Hz] by configuration key; rates that are not given stay the same.
 
         Raises:
-            DaqmxError: the rig cannot run at these rates.
+            DaqmxError: the rig cannot run at these rates, or a running rig has others.
         """
         if self._fixed is not None:
             known = {"daq.rate_hz": self._fixed.rate_hz, "drive.stream_rate_hz": self._fixed.stream_rate_hz}
@@ -814,7 +827,7 @@ class Board:
                 if rate != known[key]:
                     raise DaqmxError(
                         Code.INVALID_ATTRIBUTE_VALUE,
-                        f"SampClk.Rate: the running rig has {known[key]} Hz, not {rate} Hz",
+                        f"SampClk.Rate: the running rig has {known[key]} Hz, which a task cannot change to {rate} Hz",
                     )
             return self._fixed.config
         rate_hz = rates.get("daq.rate_hz", self._config.daq.rate_hz)

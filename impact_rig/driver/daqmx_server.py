@@ -131,7 +131,7 @@ class Service:
 
     @_served
     def StopTask(self, request: Any, context: Any) -> None:
-        """Stop a task; if an error has ended it before, report that error after that."""
+        """Stop a task, and then report the error that had ended the task before, if there was one."""
         task = self._task(request)
         error = task.error
         self.board.stop(task)
@@ -154,7 +154,7 @@ class Service:
 
     @_served
     def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
-        """Wait until all samples of a task are acquired or generated; report an error after the requested time."""
+        """Wait until all samples of a task are acquired or generated; fail if that takes longer than requested."""
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
 
     @_served
@@ -369,7 +369,10 @@ class Service:
 
     def _count_event(self) -> None:
         if self._events >= MOST_EVENTS:
-            raise DaqmxError(Code.RESOURCE_RESERVED, f"more than {MOST_EVENTS} events are registered")
+            raise DaqmxError(
+                Code.RESOURCE_RESERVED,
+                f"{MOST_EVENTS} events are registered, and more are not allowed: unregister some, or clear their tasks",
+            )
         self._events += 1
 
     # Properties
@@ -502,7 +505,10 @@ class Service:
 
     def _add(self, request: Any, kind: str, per_volt: float = 1.0, unit: str = "Volts") -> None:
         if request.custom_scale_name:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, "custom scales are not supported by this board")
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE,
+                f"custom scales are not supported by this board, got {request.custom_scale_name!r}: leave it empty",
+            )
         self.board.add_channels(
             self._task(request),
             kind,
@@ -571,7 +577,7 @@ def _reason(address: str) -> str:
 
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
-    """Serve a board until the end of the block; yield the gRPC server and its port. Then the board is closed.
+    """Serve a board until the end of the `with` statement, and then close it; yield the gRPC server and its port.
 
     Args:
         board: the rig as a board.

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Buffered analog output and input of a rig, for controllers.
 
-`AnalogOutput` plays blocks of samples and `Acquisition` reads scans. Each works without the other: they may be in two
-processes, each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in
-lockstep, because its step waits for samples while the other thread waits for its turn. `Hardware` combines both for a
-program with one thread. Every call that waits has a time limit, and blocks may have any size.
+`AnalogOutput` plays samples and `Acquisition` reads scans. Each works without the other: they may be in two processes,
+each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in lockstep, because
+its step waits for samples while the thread that writes them waits for its turn. `Hardware` combines both for a program
+with one thread. Every call that waits has a time limit, and takes or returns any number of samples or scans.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ class UnderrunError(CommandError):
 
 
 class AnalogOutput:
-    """Buffered output: the rig plays the samples that are written, block after block without a gap.
+    """Buffered output: the rig plays the samples that are written, without a gap between the calls that write them.
 
     Args:
         rig: rig with `drive.waveform: stream`; tables that it publishes while a call waits are dropped, except
             calibrations, commands and journal.
         buffer_s: longest time by which samples are written ahead of the rig [s], which is the latency of a controller
             (default: `drive.stream_buffer_s`).
-        raise_underrun: whether `write` raises `UnderrunError` when samples were not played in time; otherwise it
-            returns their number and continues at the rig's present time.
+        raise_underrun: whether `write` raises `UnderrunError` when samples were not written in time, so that the rig
+            did not play them; otherwise it returns their number and continues at the rig's present time.
 
     Attributes:
         next_sample: number of the next sample to be written, counted from scan 0; None before the start.
@@ -121,8 +121,8 @@ class AnalogOutput:
         """Begin to play the samples written so far, and return the number of the first of them, counted from scan 0.
 
         Args:
-            lead_s: time between the sample that the rig needs next and the first one that is played [s] (default: the
-                shortest with which the sample arrives in time).
+            lead_s: time from the first sample that is neither played nor written yet to the first one played by this
+                call [s] (default: the shortest with which that one arrives in time, `rig.lead_s`).
         """
         rig = self._rig
         with rig.turns:
@@ -139,18 +139,18 @@ class AnalogOutput:
         return first
 
     def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> int:
-        """Append samples, and return once the buffer has accepted them; before the start, they are kept until then.
+        """Append samples, and return once the buffer has accepted them; without `start`, they are kept until `start`.
 
         Args:
             samples: samples [A, m or V by `drive.kind`], shape (n,).
             timeout_s: longest wait for space in the buffer [s].
 
         Returns:
-            Number of samples that were not played in time since the last call; always 0 with `raise_underrun`.
+            Number of samples since the last call that came too late to be played; always 0 with `raise_underrun`.
 
         Raises:
             TimeoutError: the buffer had no space in time.
-            UnderrunError: samples were not played in time; call `start` to continue.
+            UnderrunError: samples came too late to be played, and `raise_underrun` is set; call `start` to continue.
             CommandError: the rig rejects the samples or has stopped, or more samples were written before the start than
                 the buffer holds.
         """
@@ -200,7 +200,7 @@ class AnalogOutput:
         self.next_sample += len(values)
 
     def _lost(self) -> int:
-        """Return how many samples were not played in time since the last call; continue at the rig's present sample.
+        """Return how many samples since the last call came too late; continue at the rig's present sample.
 
         Raises:
             UnderrunError: there are such samples, and `raise_underrun` is set; the output then stops playing.
@@ -253,7 +253,10 @@ class Acquisition:
 
     @property
     def available(self) -> int:
-        """Number of scans that can be read now without waiting, including lost ones."""
+        """Number of scans, from `next_scan` to the newest that arrived, that `read` returns without waiting.
+
+        Lost scans among them count, too, although `read` leaves them out.
+        """
         with self._rig.turns:
             _refresh(self._rig)
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
@@ -261,7 +264,7 @@ class Acquisition:
     def start(self, scan: int | None = None) -> None:
         """Keep the scans from number `scan` on (default: from the next one that arrives), and count lost ones from 0.
 
-        Of the scans that were kept before, those from this number on can still be read; others are dropped.
+        Of the scans that were kept before, those from number `scan` on can still be read; all others are dropped.
         """
         with self._rig.turns:
             if not self._started:
@@ -279,7 +282,7 @@ class Acquisition:
             self._started = False
 
     def delay_s(self, sample: int, scan: int) -> float:
-        """Return how much later in rig time a scan is taken than a sample of the output is played [s], < 0 if earlier.
+        """Return how much later in rig time a scan is taken than an output sample is played [s]; negative if earlier.
 
         Args:
             sample: number of the sample.
@@ -299,8 +302,8 @@ class Acquisition:
             Rows with a field for each channel, shape (count,); fewer if some of these scans were lost.
 
         Raises:
-            TimeoutError: no scan arrived for so long, or the output had no samples for the scans.
-            CommandError: the rig stopped while it waited for samples of the output.
+            TimeoutError: no scan arrived within `timeout_s`, also if the rig lacked samples of the output.
+            CommandError: the shaker was stopped, so the rig did not advance.
         """
         if not self._started and self.available < count:
             self.start(self.next_scan)
@@ -344,8 +347,8 @@ class Hardware:
 
     Args:
         rig: rig with `drive.waveform: stream`; tables that it publishes are dropped once they are read here.
-        abort: largest absolute reading that is allowed, in the unit of its channel, by channel. A larger one raises a
-            `CommandError` in the call that receives the block; the output is not stopped by it.
+        abort: largest absolute reading that is allowed, in the unit of its channel, by channel. A larger reading raises
+            a `CommandError` in the call that receives it; the output continues.
 
     Attributes:
         rig: the rig.
@@ -364,16 +367,14 @@ class Hardware:
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
-        """Play samples, and return the scans from the first to the last sample, and `rest` further scans.
-
-        Scans that are lost are missing from the result.
+        """Play samples; return the scans that were taken while they were played, and `rest` further scans.
 
         The stream ends after the last sample, so the drive ramps to zero during the further scans. Samples and scans
-        must have the same rate.
+        must have the same rate. Lost scans are missing from the result.
 
         Raises:
-            TimeoutError: the rig did not advance.
-            CommandError: a reading exceeds the limit of `abort`, or the rig has stopped.
+            TimeoutError: the rig did not advance in time.
+            CommandError: a reading exceeds the limit of `abort`, or the shaker was stopped.
         """
         values = np.asarray(samples, np.float64)
         first = self.output.start()
@@ -402,8 +403,9 @@ class Hardware:
 class Exchange:
     """Gapless exchange of samples and scans: each call plays samples and reads as many scans.
 
-    The scans of a call respond to the samples that were written `lag` samples before those of the call. Between two
-    calls, the rig has samples for the duration of the lag, so the next call may come later by that time.
+    The scans that a call returns were taken while the rig played the samples that lie `lag` samples before those of the
+    call. The rig therefore has samples for the duration of the lag when a call returns, and the next call may come that
+    much later.
 
     Args:
         hardware: output and acquisition, with equal rates.
@@ -422,7 +424,7 @@ class Exchange:
         """Write samples and read as many scans.
 
         Returns:
-            The samples that were played during these scans (written `lag` samples earlier), and the scans.
+            The samples that were played during these scans (`lag` samples before the ones written now), and the scans.
         """
         parts = []
         for at in range(0, len(samples), self.lag):
@@ -435,7 +437,7 @@ class Exchange:
 
 
 def _refresh(rig: RigDriver) -> None:
-    """Process what has arrived from a rig that runs by itself, and drop its tables; no effect on other rigs."""
+    """Process what has arrived from a rig that runs by itself, and `clear` the rig; no effect on other rigs."""
     if rig.runs_by_itself:
         rig.poll()
         rig.clear()

@@ -168,7 +168,9 @@ class LocalRig(RigDriver):
         while blocks > 0:
             chunk = self.core.blocks_with_samples(1 if one_by_one else min(blocks, BATCH_BLOCKS))
             if chunk == 0:
-                raise NoSamplesError(f"the drive stream has no samples for {blocks} blocks: {self.stream_level()}")
+                raise NoSamplesError(
+                    f"the drive stream has no samples for {blocks} blocks: {self.stream_level()}; feed them first"
+                )
             blocks -= chunk
             found = self.core.advance(self.core.block_end_ns(chunk))
             self._publish_changes()
@@ -209,7 +211,7 @@ class LocalRig(RigDriver):
     def reset(self) -> None:
         """Start again at scan 0 with everything at rest, as the service `rig/reset` does.
 
-        Stamps continue, so none is used twice.
+        Stamps of rig time continue, so no stamp is used twice.
 
         Raises:
             CommandError: the shaker is stopped, which a reset must not clear.
@@ -351,7 +353,7 @@ class LocalRig(RigDriver):
     def _publish_changes(self) -> None:
         """Publish what has changed since the last call: journal entries, applied commands and the calibration.
 
-        To publish means to keep, to record and to pass to the analysis.
+        To publish means here to keep it for `tables`, to record it, and to pass it to the analysis.
         """
         entries = self.core.take_journal()
         if entries and (encoded := codec.encode(self.core.info())) != self._info:
@@ -385,7 +387,7 @@ class LocalRig(RigDriver):
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Drop the oldest table or entry; one that every run needs (`ESSENTIAL`) is moved to `_early` and kept."""
+        """Drop the oldest table or journal entry; one of a topic in `ESSENTIAL` is moved to `_early` and kept."""
         topic, one = self._order.popleft()
         if topic in ESSENTIAL:
             self._early.append((topic, one))
@@ -400,10 +402,10 @@ class LocalRig(RigDriver):
             self._kept_from = first + len(one.rows)
 
     def _forget_early(self) -> bool:
-        """Drop the oldest table of `ESSENTIAL` that a later one has replaced, to free memory.
+        """Drop the oldest early message of a topic in `ESSENTIAL` that has a later early one, to free memory.
 
         Returns:
-            Whether there was one.
+            Whether there was such a message.
         """
         for index, (topic, one) in enumerate(self._early):
             if self._early_counts[topic] > 1:

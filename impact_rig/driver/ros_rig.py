@@ -14,11 +14,12 @@
 """`RosRig`: a rig reached over ROS topics, newly started on its own ROS domain or already running.
 
 A started rig is in lockstep unless its configuration says otherwise: it advances only on request. `step` returns when
-every peer has processed the last block; the peers are this program, the recorder, the analysis and each node under
-test. A rig in another time mode runs by itself, and `step` waits for its blocks.
+every peer has processed the last block of scans; the peers are this program, the recorder, the analysis and each node
+under test. A rig in another time mode runs by itself, and `step` waits for its blocks.
 
 The rig learns in one of three ways that a node under test has processed a block. If the node is hosted in this process,
-the return of its callback counts. Or the node answers each block on one of its outputs. Or it sends `daq/ack` itself.
+the return of its callback counts. If it is started with `output`, each message that it publishes on that topic counts.
+Otherwise, the node itself acknowledges each block on `daq/ack`.
 """
 
 from __future__ import annotations
@@ -209,7 +210,9 @@ class RosRig(RigDriver):
         values = to_flat(config)
         for key, value in (differences(required) if isinstance(required, RigConfig) else required).items():
             if values[key] != value:
-                raise ConfigError(f"the running rig has {key}: {values[key]}, but {value} is required")
+                raise ConfigError(
+                    f"the running rig has {key}: {values[key]}, but {value} is required; start it with that value"
+                )
         return config
 
     def _connect_stream(self) -> None:
@@ -262,7 +265,10 @@ class RosRig(RigDriver):
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
             resolved = self.client.node.resolve_topic_name(SCANS)
-            raise ConfigError(f"hosted node {node.get_name()!r} does not subscribe to {SCANS} ({resolved})")
+            raise ConfigError(
+                f"hosted node {node.get_name()!r} does not subscribe to {SCANS} ({resolved}): subscribe to it when the "
+                "node is created"
+            )
         self._tested.append(node)
         self._add_peer(node.get_name())
         return node
@@ -337,10 +343,10 @@ class RosRig(RigDriver):
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks; return when every peer has processed them.
+        """Advance by whole blocks of scans; return when every peer has processed them.
 
         The peers are this program, recorder, analysis and the nodes under test. A rig that runs by itself is not
-        advanced: the call returns when so many further blocks have arrived.
+        advanced: the call returns when that many further blocks have arrived.
 
         Args:
             blocks: number of blocks.
@@ -500,8 +506,8 @@ class RosRig(RigDriver):
         """Return the last published state of the buffer that holds the samples of the drive.
 
         Returns:
-            Numbers of samples: `sample` (the next to play), `buffered`, `capacity`, `late` and `missing`. Samples sent
-            since that state count as buffered.
+            Numbers of samples: `sample` (the next to play), `buffered`, `capacity`, `late` and `missing`. Samples that
+            this program has sent since the state was published count as buffered.
         """
         table = self._stream.last()
         assert table is not None
@@ -529,8 +535,8 @@ class RosRig(RigDriver):
     def renew(self, config: RigConfig) -> None:
         """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
 
-        The nodes under test are ended, and a temporary recording is replaced by a new one. It saves the start of new
-        processes between two tests.
+        The nodes under test are ended, and a temporary recording is replaced by a new one. Between two tests, this is
+        faster than to start new processes.
 
         Args:
             config: new configuration of the rig.
@@ -655,10 +661,10 @@ class RosRig(RigDriver):
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
-        """Acknowledge on behalf of the node `name` each time that it answers a block on the topic `output`.
+        """Acknowledge blocks on behalf of the node `name`: each message that it publishes on `output` answers a block.
 
         Returns:
-            Collector of the answers.
+            Collector of these messages.
         """
         scans = self._collectors[SCANS]
         begin = answered = len(scans)

@@ -188,7 +188,7 @@ def test_an_invalid_domain_in_the_environment_is_rejected_with_a_message(
 
     monkeypatch.setenv("ROS_DOMAIN_ID", value)
     with (
-        pytest.raises(ImpactRigError, match=f"ROS_DOMAIN_ID must be a number, got {value!r}"),
+        pytest.raises(ImpactRigError, match=f"ROS_DOMAIN_ID must be a whole number >= 0, got {value!r}"),
         RosRig(record=tmp_path / "run", namespace="/rig"),
     ):
         pass
