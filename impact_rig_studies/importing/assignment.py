@@ -50,9 +50,9 @@ LONGEST_GUESSED = 200  # longest heading, in characters, that is compared
 def guess(source: ImportedSignals) -> Mapping:
     """Return the mapping that headings, units and the name of a file suggest; parts without a clue are left out.
 
-    Names of our own channels take precedence, then words of other programs, then units that only one channel has. An
-    accelerometer on the structure also serves as the channel `laser`, its motion, if `base` has a signal and no other
-    signal is `laser`.
+    A signal named like a channel is that channel. After that, words of other programs decide (`HINTS`), and then units
+    that only one channel can have. If no signal is found for `laser` (the motion of the structure), but there are an
+    accelerometer on the structure and a `base`, the accelerometer's signal is used for `laser` as well.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}
@@ -94,14 +94,17 @@ def guess(source: ImportedSignals) -> Mapping:
 
 
 def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal]) -> str | None:
-    """Return the name of the signal with the first hint that only one suitable signal has; None if there is none."""
+    """Return the name of the signal that the first unambiguous hint points to; None if all hints are ambiguous.
+
+    A hint is unambiguous if exactly one of the signals whose unit is possible for the channel has it in its name.
+    """
     words = {name: _words(name) for name, one in signals.items() if _fits(one, channel)}
     matching = ([name for name, own in words.items() if hint in own] for hint in hints)
     return next((names[0] for names in matching if len(names) == 1), None)
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
-    """Return the time responses that share the most frequent time base, because all channels of a run need the same."""
+    """Return those time responses, by name, that share the most frequent time base: the channels of a run share one."""
     bases: dict[object, dict[str, Signal]] = {}
     for name, one in signals.items():
         if one.kind is SignalKind.TIME_RESPONSE:
@@ -119,7 +122,7 @@ def _words(name: str) -> frozenset[str]:
 
 
 def _fits(signal: Signal, channel: str) -> bool:
-    """Return whether the unit of a signal, if known, is possible for a channel."""
+    """Return whether the unit of a signal is possible for a channel; volts and unknown units are possible for each."""
     found = quantity(signal.unit) if signal.unit else None
     return found is None or found == "V" or found in UNITS[channel]
 
@@ -140,7 +143,7 @@ def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping)
         return f"its unit {one.unit} is not possible for the channel {meant[0]}"
     taken = [channel for channel in fitting if channel in mapping.channels]
     if taken:
-        return f"the channel {taken[0]} is {mapping.channels[taken[0]].column}"
+        return f"the channel {taken[0]} uses the signal {mapping.channels[taken[0]].column}"
     if all(len(one.values) != len(other.values) for other in used):
         return "its times differ from those of the channels"
     rivals = [other for other in signals if other != name and {fitting[0], *HINTS[fitting[0]]} & _words(other)]
@@ -152,7 +155,8 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
 
     The text names the channel and its signal, which may be followed by a unit and a sensitivity: `laser=ai0`,
     `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel. A channel keeps its other properties, such
-    as its sign. The signal need not be in `signals`, whose names only tell where a name with blanks ends.
+    as its sign. The names in `signals` show where a signal's name with blanks ends, and their units apply if the text
+    states none. A name that is not in `signals` is accepted.
 
     Raises:
         ConfigError: the text is malformed, or its channel is unknown.
@@ -181,6 +185,6 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
 
 
 def _longest(text: str, signals: AnyMapping[str, Signal]) -> str:
-    """Return the longest name of a signal with which the text of an option begins, or else the text's first word."""
+    """Return the longest name of a signal with which the text begins; without one, the text's first word."""
     matching = [name for name in signals if text == name or text.startswith((f"{name} ", f"{name},"))]
     return max(matching, key=len) if matching else re.split(r"[\s,]", text, maxsplit=1)[0]

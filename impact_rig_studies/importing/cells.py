@@ -76,7 +76,7 @@ def number(cell: str, decimal: str = ".") -> float | None:
 
 
 def is_unclear(cell: str) -> bool:
-    """Return whether a number such as `1,234` has another value with the other decimal sign."""
+    """Return whether the value of a cell such as `1,234` depends on the decimal sign: 1.234 with a comma, else 1234."""
     return _UNCLEAR.fullmatch(cell.strip()) is not None
 
 
@@ -97,12 +97,12 @@ def half_digit(cell: str) -> float:
 
 
 def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
-    """Return the decimal sign of the columns of a table, and whether its cells are evidence of it.
+    """Return the decimal sign of a table, `.` or `,`, and whether its cells are evidence of it.
 
-    Cells such as `0,5` or `1.234,5` are evidence; `1,234` alone is not. If a column also has whole numbers without a
-    sign, and none above 999, the sign in `1,234` separates groups of digits; if one is above 999, it is the decimal
-    sign. Without evidence the decimal sign is a comma if cells contain commas and no points. If the evidence is
-    contradictory, it is a point.
+    Cells such as `0,5` or `1.234,5` are evidence; `1,234` or `1.234` alone is not. Whole numbers in the same column,
+    which are written without a sign, decide about it: if all are below 1000, its sign separates groups of digits; if
+    one is above 999, its sign is the decimal sign. Without evidence the decimal sign is a comma if cells contain commas
+    and no points, else a point. If the evidence is contradictory, it is a point.
 
     Args:
         columns: cells of each column.
@@ -135,7 +135,10 @@ def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tup
 
 
 def _proves(text: str, decimal: str) -> bool:
-    """Return whether a cell is a number with one decimal sign and not with the other."""
+    """Return whether a cell proves a decimal sign: it is a number with this sign, and not with the other one.
+
+    It is not meant for a cell that is a number with either sign (`is_unclear`).
+    """
     match = _GROUPED[decimal].fullmatch(text)
     if match:
         return bool(match["rest"]) or (match["sign"] in ".," and text.count(match["sign"]) > 1)
@@ -192,14 +195,14 @@ def _time(cell: str) -> re.Match[str] | None:
 class Times:
     """Column of dates, times of day or durations, converted to nanoseconds (`ns`).
 
-    `has_date` and `has_clock` state whether a cell has a date, and a time of day or duration.
+    `has_date` is True if a cell of the column contains a date, `has_clock` if one contains a time of day or a duration.
     """
 
     def __init__(self, cells: Sequence[str]) -> None:
         """Convert the cells of a column.
 
         Raises:
-            ValueError: a cell is not a time; the message is its text.
+            ValueError: a cell is not a time, or its date does not exist; the message is the text of the cell.
         """
         self.has_date = self.has_clock = False
         self._month_first = self._is_month_first(cells)
@@ -224,7 +227,8 @@ class Times:
     def _is_month_first(cells: Sequence[str]) -> bool:
         """Return whether dates such as 3/4/2026 begin with the month.
 
-        They do if a second number is above 12, or if no first number is and the separator is a slash.
+        They do if the second number of a date is above 12. If neither number is ever above 12, they do if the separator
+        is a slash, as in the USA.
         """
         slash = False
         for cell in cells:
@@ -239,7 +243,13 @@ class Times:
         return slash
 
     def _parse(self, cell: str) -> tuple[int, int]:
-        """Return the days of a cell, since 1970 or of a duration, and its nanoseconds since midnight."""
+        """Return the two parts of a time in a cell: days (of a date since 1970, of a duration, or 0), and nanoseconds.
+
+        The nanoseconds are those since midnight, or those of a duration beyond its whole days.
+
+        Raises:
+            ValueError: the cell is not a time, or its date does not exist.
+        """
         match = _time(cell)
         if match is None:
             raise ValueError(cell.strip()[:LONGEST_CELL])
@@ -260,7 +270,7 @@ class Times:
 
     @staticmethod
     def _clock(parts: Mapping[str, str]) -> int:
-        """Return the time of day in the parts of a cell, in nanoseconds since midnight, minus its offset from UTC."""
+        """Return the time of day in the parts of a cell [ns since midnight], in UTC if the cell states its offset."""
         hours, minutes, seconds = (int(parts.get(unit) or 0) for unit in ("hour", "minute", "second"))
         half, zone = parts.get("half"), parts.get("zone", "").lstrip("ZUTCGM")
         if half:

@@ -74,8 +74,9 @@ def signals_of(
 ) -> ImportedSignals:
     """Return the columns of a table as signals with a common abscissa.
 
-    A two-dimensional column becomes one signal for each index of its shorter side. Columns that are not signals, such
-    as texts or single values next to longer columns, are in `left_out` of the result, with the reason for the user.
+    A two-dimensional column becomes several signals, along its longer side: one for each index of the shorter side.
+    Columns that are not signals, such as texts or single values next to longer columns, are listed in `left_out` of the
+    result, with the reason for the user.
 
     Args:
         path: the file.
@@ -83,9 +84,9 @@ def signals_of(
         columns: columns by heading, shape (n,) or (n, k); a rate or a period has a single value.
         column_units: units by heading, if they are not part of it.
         rate_hz: rate that the file states outside the columns; a column such as `fs` or `dt` takes precedence.
-        remarks: assumptions of the reader.
-        left_out: parts that the reader has left out.
-        rate_note: assumption about `rate_hz`, or the reason why it is None.
+        remarks: assumptions that the reader of the file made, for the user.
+        left_out: parts of the file that the reader has left out: name to the reason.
+        rate_note: assumption about `rate_hz`, or the reason why it is None, for the user.
     """
     check_column_count(len(columns))
     column_units = column_units or {}
@@ -124,7 +125,7 @@ def signals_of(
             stated = headings.rate_hz(name, one)
             rate_hz = stated or rate_hz
             if stated is None:
-                omitted[name] = f"no rate or period: {one:g}"
+                omitted[name] = f"no valid rate or period: {one:g}"
         elif name == headings.STAMP and values.ndim == 1:
             stamps = values.astype(np.int64)
         else:
@@ -178,7 +179,16 @@ def _axis(
 ) -> _Axis:
     """Remove the columns of times, or of frequencies, from `numeric`, and return the abscissa that they define.
 
-    Further columns of times are added to `omitted`, with the reason.
+    The abscissa is of the kind `NONE` if no column contains times or frequencies. Columns of times that are not used,
+    because others already give the times, are added to `omitted`, with the reason.
+
+    Args:
+        numeric: columns of numbers by heading; the used ones are removed.
+        column_units: units by heading, if they are not part of it.
+        clocks: heading and content of each column of dates, times of day or durations.
+        stamps: column `stamp_ns` [ns], or None.
+        dates: heading and content [ns since 1970] of the column of binary dates, or None.
+        omitted: reasons for the user why columns are not signals, by heading.
     """
     timed = next((name for name in numeric if headings.is_time_name(_name(name)) and _is_column(numeric[name])), None)
     if clocks:
@@ -226,9 +236,9 @@ def _axis(
 
 
 def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
-    """Return the names of the columns of dates or clocks that give the times: the first, and one that completes it.
+    """Return the names of the columns that give the times: the first of `clocks`, and one that completes it, if any.
 
-    A column of dates is completed by one of times of day, and the other way round.
+    The first column of times of day completes a column of dates without a time of day, and the other way round.
     """
     name, times = clocks[0]
     completing = (
@@ -242,7 +252,7 @@ def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
 
 
 def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
-    """Return the abscissa from a column of dates, of times of day or of both, or from one column of each."""
+    """Return the abscissa from one column of dates or times of day, or from two: one of dates, one of times of day."""
     name, times = clocks[0]
     ns = times.ns
     has_date = times.has_date
@@ -256,13 +266,19 @@ def _clock_axis(clocks: list[tuple[str, cells.Times]]) -> _Axis:
 
 
 def _is_fraction(clocks: list[tuple[str, cells.Times]], values: Real) -> bool:
-    """Return whether a column contains milliseconds to be added to times of day without a fraction of a second."""
+    """Return whether a column contains milliseconds that complete the times in `clocks`.
+
+    Those must include times of day and be whole seconds, and the values of the column be from 0 to below 1000.
+    """
     whole = all(bool(np.all(times.ns % NS_PER_S == 0)) for _, times in clocks)
     return whole and any(times.has_clock for _, times in clocks) and bool(np.all((values >= 0.0) & (values < 1e3)))
 
 
 def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
-    """Return the abscissa from a column that counts ms, us or ns since 1970, exact for integers; None for any other."""
+    """Return the abscissa from a column that counts ms, us or ns since 1970, exactly for integers.
+
+    It is None for a column with another unit, or whose first value is no date of the years 2000 to 2100.
+    """
     first = float(column.reshape(-1)[0])
     for fraction, per_s in FRACTIONS:
         if unit in ("", fraction) and EPOCH_S[0] * per_s <= first <= EPOCH_S[1] * per_s:
@@ -273,9 +289,10 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 
 
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
-    """Return the abscissa from a column of times, in seconds; its kind is not time if the unit is none of time.
+    """Return the abscissa from a column of times, converted to seconds.
 
-    Without a unit, values may be days of a spreadsheet, which are recognised; otherwise, seconds are assumed.
+    If the unit is not one of time, the values are kept, and the kind is frequency or other. Without a unit, the days of
+    a spreadsheet (since 1900) are recognised by their size; otherwise seconds are assumed.
     """
     note = ""
     word = headings.bare(_name(name))

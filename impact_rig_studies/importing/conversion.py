@@ -60,7 +60,7 @@ class ImportedRun:
     info: NDArray[np.void]  # rows of `daq/info`
     drive: tuple[tuple[int, float, float], ...]  # commands: instant [ns], frequency [Hz], amplitude [`amplitude_unit`]
     labels: tuple[str, ...]  # remarks for the topic `notes`, among them the labels of the gap
-    estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that the data gave, by channel; the rest is stated
+    estimated: AnyMapping[str, tuple[str, ...]]  # columns of `info` that were estimated from the data, by channel
     doubts: tuple[str, ...] = ()  # assumptions and guesses that the user should confirm, as text
     amplitude_unit: str = "A"  # unit of the amplitudes in `drive`, with the channel they were measured in
 
@@ -77,14 +77,14 @@ def convert(
         source: content of the file.
         mapping: assignment of its signals to channels.
         drive: table of commands with the columns `time` or `stamp_ns`, `frequency` and, if known, `current`. None means
-            the mapping's frequency, or if it has none, the one found in the data.
+            that the mapping states the frequency, or if it does not, that it is found in the data.
         sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence, and
             what neither states is estimated from the data.
 
     Raises:
         ConfigError: no channel is mapped, a mapped signal does not exist, a unit is not possible for its channel, times
             are not uniform, or a table has an invalid value.
-        RecordingError: the signals have different lengths or abscissas.
+        RecordingError: the signals have different lengths or abscissas, or fewer than two values.
         BudgetError: resampling would give too many values.
     """
     if not mapping.channels:
@@ -167,7 +167,7 @@ def convert(
 
 
 def _no_signal(source: ImportedSignals, name: str, purpose: str) -> ConfigError:
-    """Return the error that a file has no signal of this name for a channel, the frequency or the gap."""
+    """Return the error that a file has no signal of this name; `purpose` is a channel, `frequency` or `gap`."""
     there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
     hint = did_you_mean(name, source.signals, "did you mean {!r}?", there)
     if name in source.left_out:
@@ -182,7 +182,7 @@ def _unassigned(source: ImportedSignals) -> str:
     strange = {name: one for name, one in source.signals.items() if one.kind is not SignalKind.TIME_RESPONSE}
     if strange and len(strange) == len(source.signals):
         found = "; ".join(f"{name}: {one.kind}, {one.abscissa}" for name, one in strange.items())
-        return f"{source.path} holds no time response: {found[:500]}"
+        return f"{source.path} holds no time response: {found[:500]}; import time signals"
     rest = f"; left out: {reasons(source.left_out)}" if source.left_out else ""
     return (
         f"{source.path}: the names of its signals do not tell which is which channel; it has: {known[:500]}{rest}. "
@@ -191,7 +191,10 @@ def _unassigned(source: ImportedSignals) -> str:
 
 
 def _unit_doubts(name: str, one: Channel, si_unit: str) -> list[str]:
-    """Return the assumption about an unknown or ambiguous unit of a channel, for the user; empty if there is none."""
+    """Return the assumption about the missing or ambiguous unit of a channel, as one text for the user.
+
+    The list is empty if the unit is clear.
+    """
     said = f'--channel {name}="{one.column} {OTHER_UNIT[si_unit]}" states another'
     if not one.unit and not one.sensitivity:
         return [f"no unit is given for {one.column}: {si_unit} is assumed; {said}"]
@@ -206,7 +209,7 @@ def _differ(signals: AnyMapping[str, Signal]) -> bool:
 
 
 def _fits(one: Signal, other: Signal) -> bool:
-    """Return whether two signals have the same steps and starts within half a period of each other."""
+    """Return whether two signals have the same length and step, and start within half a period of each other."""
     a, b, count = one.abscissa, other.abscissa, len(one.values)
     period = a.step or (float(a.values[1]) if a.values is not None and count > 1 else 0.0)
     return (
@@ -218,7 +221,7 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return abscissa and length that all channels share, and by how much each starts later than the first [s].
+    """Return abscissa and length that all channels share, and by channel the time from the first one's start [s].
 
     Raises:
         RecordingError: the signals have different times or lengths.
@@ -241,7 +244,7 @@ def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[
 
 
 def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
-    """Return whether two abscissas of `count` values last equally long, within half a period [s]."""
+    """Return whether two abscissas of `count` values span equal times, within half a `period` [s]."""
     ends = [
         one.step * (count - 1) if one.step else float(one.values[-1]) if one.values is not None and count else 0.0
         for one in (first, other)
@@ -264,7 +267,7 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 
 @attrs.frozen(eq=False)
 class _Instants:
-    """Conversion between positions of scans in the file and stamps [ns]."""
+    """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns]."""
 
     index: NDArray[np.int64]
     rate_hz: Rate
@@ -292,7 +295,11 @@ def _calibration(
     """Return rows of `daq/info` for the channels, and by channel the columns that were estimated from the data.
 
     The mapping takes precedence over the table of calibration (`sheet`). Resolution, skew and rate that neither states
-    are estimated from readings and times. Other properties are exact or without limit.
+    are estimated from the values and times of the signals. Any other property that neither states is ideal: no error,
+    no delay, an unlimited range.
+
+    Raises:
+        ConfigError: a range is empty.
     """
     given_rate = mapping.rate_hz is not None or mapping.resample_hz is not None
     estimated: dict[str, tuple[str, ...]] = {}
@@ -323,10 +330,10 @@ def _calibration(
 
 
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
-    """Compare frequency and gap guessed from the file name with the data; return the mapping, and texts for the user.
+    """Compare a frequency guessed from the file name with the data; return the mapping, and texts for the user.
 
-    A frequency that contradicts the sine in the data (`measured_hz`, 0 if none is clear) is replaced by that of the
-    sine. `seconds` is the length of the record.
+    If the guess contradicts the frequency of the sine in the data (`measured_hz`, 0 if no sine is clear), this replaces
+    it. `seconds` is the length of the record. The texts also state a guessed gap, which cannot be compared.
     """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
@@ -355,7 +362,11 @@ def _commands(
 ) -> tuple[tuple[int, float, float], ...]:
     """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
 
-    They are those of the table `drive`, or else of the frequency signal `followed`, or the mapping's single frequency.
+    They are those of the table `drive`. Without it, the values of the frequency signal `followed` are used, with a
+    command at each change, and without that signal the single frequency of the mapping.
+
+    Raises:
+        ConfigError: the table lacks a column, or one of its times is not finite.
     """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
@@ -379,7 +390,7 @@ def _commands(
 
 
 def _changes(values: Real) -> list[int]:
-    """Return the positions at which a signal has a new value, including the first; successive NaN count as equal."""
+    """Return position 0 and all positions at which a value differs from the one before; two NaN count as equal."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return [0, *(np.flatnonzero(~same) + 1).tolist()]
 
@@ -387,7 +398,10 @@ def _changes(values: Real) -> list[int]:
 def _with_amplitude(
     commands: Sequence[tuple[int, float, float]], values: Real, instants: _Instants
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the drive commands; a missing amplitude is √2 times the rms of the `values` under the command."""
+    """Yield the drive commands with missing amplitudes estimated from the measured `values` of the drive.
+
+    The estimate is √2 times the standard deviation of the values from the command to the next one.
+    """
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
         part = values[instants.first_at(instant) : instants.first_at(end)]
@@ -410,9 +424,10 @@ def _frequency_of(
 ) -> tuple[float, bool]:
     """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
-    It is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest part without a
-    missing value. Lines are compared as displacements, which raises the noise of an accelerometer at low frequencies:
-    only lines above the noise around them count. A clear sine has more power than the rest of the signal.
+    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest
+    part without a missing value. Lines are compared as displacements. This raises the noise of an accelerometer at low
+    frequencies, so that lines above the noise around them take precedence. A clear sine has more power than the rest of
+    the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

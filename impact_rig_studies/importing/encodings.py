@@ -54,9 +54,9 @@ def decode(content: bytes) -> tuple[str, str]:
 
 
 def split_lines(text: str) -> list[str]:
-    """Return the lines of a text without their ends, which are line feeds, carriage returns, or both, and nothing else.
+    """Return the lines of a text without their ends: line feed, carriage return, or both.
 
-    A last empty line is dropped.
+    Unlike with `str.splitlines`, no other character ends a line. A last empty line is dropped.
     """
     lines = text.split("\n") if "\r" not in text else _LINE_END.split(text)
     return lines[:-1] if lines and not lines[-1] else lines

@@ -81,7 +81,7 @@ def is_time_name(name: str) -> bool:
 
 
 def _time_suffix(name: str) -> str | None:
-    """Return the unit at the end of a column's name such as `time_ms` or `timeMs`; None if it has none."""
+    """Return the unit at the end of a name of times such as `time_ms` or `timeMs`; None without one, or for others."""
     match = _TIME_SUFFIX.fullmatch(name[:80].strip())
     return (match[2] or match[3]).lower() if match and bare(match[1]) in TIME_NAMES else None
 
@@ -156,9 +156,9 @@ def _bracketed(text: str) -> tuple[str, str]:
 def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row of a table's heading contains units.
 
-    It does if every filled cell is a unit, or the first cell is a label such as `units`. It also does if its first cell
-    is a unit of time or frequency below the name of such a column, and the row `above` has no empty cell; the others
-    may then be unknown.
+    It does if its first cell is a label such as `units`. Otherwise it depends on the row `above`. If that has no empty
+    cell and begins with the name of a column of times or frequencies, only the first cell decides: it must be a unit of
+    time or frequency. Else every filled cell must be a unit.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
@@ -212,8 +212,8 @@ def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None 
     """Return the sampling rate that lines around a table state, as in `Sample rate: 51200 Hz` or `Delta_X 0.008`.
 
     The unit, after the number or in the heading before it, determines whether the number is a rate or a period; without
-    a unit, the name does. Decimal sign and delimiter are those of the table. Of statements that differ by at most 5 %,
-    the first counts.
+    a unit, the name does. Decimal sign and delimiter are those of the table. If several rates are stated, the first
+    counts if all others are within 5 % of it; otherwise none does, and the note lists them.
     """
     texts = (_REMARK_WITH_NUMBER.sub("", _PER_SECOND.sub("Hz", line[:300])) for line in lines)
     matches = itertools.islice((match for text in texts for match in _STATED.finditer(text)), MOST_STATED)
@@ -222,17 +222,17 @@ def stated_rate(lines: Sequence[str], decimal: str = ".", delimiter: str | None 
         return StatedRate()
     if any(abs(hz / found[0][0] - 1.0) > SAME_RATE for hz, _ in found):
         rates = ", ".join(dict.fromkeys(f"{hz:.6g} Hz" for hz, _ in found))
-        return StatedRate(None, f"it states several: {rates[:100]}")
+        return StatedRate(None, f"several rates are stated: {rates[:100]}")
     return StatedRate(*found[0])
 
 
 def _in_hz(text: str) -> str:
-    """Return a text with units such as `kS/s` or `samples/min` as kHz or 1/min."""
+    """Return a text with units of samples per time replaced by plain ones: `kS/s` by kHz, `samples/min` by 1/min."""
     return _SAMPLES_PER_MINUTE.sub("1/min", _SAMPLES.sub(r"\1Hz", text))
 
 
 def _rate_of(match: re.Match[str], decimal: str, delimiter: str | None) -> tuple[float, str] | None:
-    """Return rate [Hz] and note of a match of `_STATED`; None if it is another rate, as in `feed rate: 5 mm/s`."""
+    """Return rate [Hz] and note of a match of `_STATED`; None if it is no sampling rate, as in `feed rate: 5 mm/s`."""
     between, behind = (_in_hz(text) for text in (match["between"] + (match["after"] or ""), match["unit"] or ""))
     if any(word.lower() not in _BETWEEN and quantity(word) not in ("Hz", "s") for word in _WORD.findall(between)):
         return None

@@ -47,7 +47,7 @@ def run(
 ) -> ImportedSignals:
     """Run a reader in a child process with limited memory and time, and return the signals that it read.
 
-    The environment variable IMPACT_RIG_BUDGET raises both limits.
+    The environment variable IMPACT_RIG_BUDGET multiplies both limits.
 
     Args:
         path: the file, for messages.
@@ -106,7 +106,7 @@ def run(
 
 
 def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, seconds: float) -> NoReturn:
-    """Read the file in the child process, send the result or the error into the pipe `sink`, and end the process."""
+    """Run the reader in the child process, write its result or its error into the pipe `sink`, and end the process."""
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # discards messages of a library that fails
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -132,7 +132,7 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
 
 
 def _limit(file_bytes: int, seconds: float) -> None:
-    """Limit the computing time of this process [s], and the memory that it may use in addition to its present one."""
+    """Limit what this process may use from now on: `seconds` of computing time, and memory by the size of the file."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     more = (WORKING_BYTES + WORKING_PER_BYTE * file_bytes) * budget.factor()
     for kind, limit in (
@@ -162,9 +162,10 @@ def _receive(source: int, deadline: float) -> bytes:
 
 
 def _send(found: ImportedSignals, out: BinaryIO) -> None:
-    """Write signals into the pipe to the parent: a line of JSON, then all numbers; shared numbers are sent once.
+    """Write signals into the pipe to the parent: a line of JSON, then the numbers of all arrays.
 
-    In the JSON, the position of an array takes its place.
+    In the JSON, each array is replaced by its index in the sequence of arrays. An array that several signals share is
+    written once.
     """
     arrays: list[Real] = []
     places: dict[int, int] = {}

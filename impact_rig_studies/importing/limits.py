@@ -13,7 +13,7 @@
 # limitations under the License.
 """Limits of memory and content for imported files, so that a damaged or malicious one cannot fill the memory.
 
-The environment variable IMPACT_RIG_BUDGET raises all of them.
+The environment variable IMPACT_RIG_BUDGET multiplies all of them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ EXPANDED_BYTES, EXPANDED_PER_BYTE = 64 * budget.MIB, 4
 
 
 def check_column_count(count: int) -> None:
-    """Reject a file with more columns or signals than any measurement has.
+    """Reject a file with more columns, signals or other parts than any measurement has.
 
     Raises:
         BudgetError: `count` is above `COLUMNS`.
@@ -43,7 +43,8 @@ def check_value_count(count: float, file_bytes: int) -> None:
     """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: `count` is above `VALUES`, or numbers of 8 bytes are above the limit of `check_expanded_bytes`.
+        BudgetError: `count` is above `VALUES`, or as many numbers of 8 bytes exceed the limit of
+            `check_expanded_bytes`.
     """
     budget.allow("values in a file", count, VALUES)
     check_expanded_bytes(8.0 * count, file_bytes)

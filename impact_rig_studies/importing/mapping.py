@@ -121,9 +121,9 @@ class Mapping:
 
 
 def refined(mapping: Mapping, text: str) -> Mapping:
-    """Return a mapping in which a YAML text, as of the option `--mapping`, replaces what it states; the rest stays.
+    """Return a mapping in which the values that a YAML text states replace those of `mapping`; all others are kept.
 
-    A channel that is null in the text is removed.
+    The text is that of the option `--mapping`. A channel that is null in it is removed. An example:
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column

@@ -83,7 +83,7 @@ def even_times(rate_hz: float, start_s: float = 0.0) -> Abscissa:
 
 @attrs.frozen(eq=False)
 class Signal:
-    """Numbers of an imported file that belong together, with unit, abscissa and kind."""
+    """Series of numbers from an imported file, with its unit, its abscissa and its kind."""
 
     values: Real  # shape (n,)
     unit: str = ""  # unit in the file; empty if the file names none
@@ -143,7 +143,7 @@ class UniqueNames:
         self._counts: dict[str, int] = {}
 
     def unique(self, name: str) -> str:
-        """Return the name, or with a number appended (`name_2`, `name_3`, ...) if it is reserved or was returned."""
+        """Return the name; if it is reserved or was returned before, append a number (`name_2`, `name_3`, ...)."""
         candidate = name
         while candidate in self._taken:
             self._counts[name] = self._counts.get(name, 1) + 1

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Step (resolution) of imported readings: the spacing of values that a converter, integers or few digits cause.
+"""Step (resolution) of imported values: the spacing that is due to a converter, to integers or to few digits.
 
-No format states it reliably, because values are scaled, printed and truncated before they are imported. It is computed
-from the values themselves, as the largest number of which all their differences are integer multiples (Euclid's
-algorithm).
+No file format states the step reliably, because values are scaled, printed and truncated before they are imported. It
+is computed from the values themselves, as the largest number of which all their differences are integer multiples
+(Euclid's algorithm).
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ CHANCE = 1e-9  # probability that differences are multiples of a number within t
 def step_of(values: Real) -> float:
     """Return the step of which all differences of a signal's values are multiples, in their unit; 0 if there is none.
 
-    The last `SAMPLES` values are used. If there are enough of them, only those in the upper half of the amplitude
-    count: numbers printed with a fixed number of significant digits have finer steps where they are small, which do not
-    matter for the amplitude.
+    There is none, either, if the finite values are few, or repeat after every `REPEATED` samples. The last `SAMPLES`
+    values are used, and of these only those above half of the largest absolute value, unless they have at most `FEW`
+    levels. Smaller values may be printed with finer steps, which do not matter for the amplitude.
     """
     values = values[-SAMPLES:]
     values = values[np.isfinite(values)]
@@ -58,7 +58,10 @@ def step_of(values: Real) -> float:
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences are multiples within `rounding`; 0 if none is above chance."""
+    """Return the largest number of which all differences are multiples within `rounding`; 0 if there is none.
+
+    A number of which the differences may be multiples by chance (`CHANCE`) does not count.
+    """
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0
     while step > rounding:

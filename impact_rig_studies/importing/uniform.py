@@ -13,8 +13,9 @@
 # limitations under the License.
 """Uniform time base of imported signals: the rate that a file states, or that its times have, whole or not.
 
-Times and steps are written with few digits. A rate is therefore known within an interval; the whole number in it is
-taken, else the rate of a usual clock divided by a whole number, else what was measured.
+Times and steps are written with few digits, so that the rate is known only within an interval. The rate is the whole
+number in this interval, or else a usual clock rate divided by a whole number, or else the measured value
+(`likely_rate`).
 """
 
 from __future__ import annotations
@@ -65,9 +66,9 @@ class Grid:
 def aligned(
     path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
 ) -> tuple[Abscissa, dict[str, Real]]:
-    """Return common times for signals with different times, and the signals interpolated at these.
+    """Return common times for signals with different times, and the signals interpolated at these times.
 
-    They are the times of the signal with the smallest period, from the latest start to the earliest end of all.
+    The common times are those of the signal with the smallest period, from the latest start to the earliest end of all.
 
     Raises:
         ConfigError: a signal has no times or misses scans, its times do not increase, a value is not finite, or the
@@ -125,8 +126,9 @@ def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
     """Return the exact rate [Hz] that most likely underlies a measured one within its uncertainty.
 
-    It is a whole number, or a usual clock (`CLOCKS_HZ`) divided by a whole number, or else the measured rate. If
-    several whole numbers are possible, a clock is likelier than the nearest of them.
+    It is the whole number within the uncertainty, if there is only one or it equals the measured rate. Otherwise it is
+    a usual clock rate (`CLOCKS_HZ`) divided by a whole number. If none of these is within the uncertainty, it is the
+    nearest whole number there, or else the measured rate.
     """
     low, high = measured_hz - uncertainty_hz, measured_hz + uncertainty_hz
     whole = round(measured_hz)
@@ -185,7 +187,15 @@ def uniform(
 
 
 def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
-    """Return (listed times [s], None), or (None, rate [Hz]): the mapping's, or the file's if its times agree."""
+    """Return the listed times [s] or the rate [Hz] that applies, as (times, None) or (None, rate).
+
+    The rate of the mapping applies, if it states one, or else the rate that the file states. The times that the file
+    lists apply if it states no rate, or one that contradicts them.
+
+    Raises:
+        ConfigError: neither times nor a rate are known, or the mapping's rate is out of range.
+        RecordingError: times and values differ in number.
+    """
     if mapping.rate_hz is not None:
         if not 0.0 < mapping.rate_hz <= MOST_HZ:
             raise ConfigError(
@@ -222,13 +232,18 @@ def _explained(abscissa: Abscissa) -> str:
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
     """Return the scan rate [Hz] of listed times [s], and the number of each scan, with gaps for missing ones.
 
+    For times that will be `resampled`, the rate is that of their median step, and the scans are numbered without gaps.
+
     Raises:
-        ConfigError: the times do not increase, or are not uniform and not to be resampled.
+        ConfigError: a time is not finite, the times do not increase, or they are not uniform and not `resampled`.
     """
     count = len(times)
     if not np.all(np.isfinite(times)):
         place = int(np.argmin(np.isfinite(times)))
-        raise ConfigError(f"{path}: time {place + 1} of {count} is not a finite number")
+        raise ConfigError(
+            f"{path}: time {place + 1} of {count} is not a finite number; give the rate (--scan-rate HZ) to ignore the "
+            "times"
+        )
     steps = np.diff(times)
     digit = 0.0 if _mostly_equal(steps) else last_digit(times)
     span = float(times[-1])
@@ -241,7 +256,10 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
             return rate, np.arange(count)
     if not np.all(steps > 0.0):
         place = int(np.argmin(steps)) + 1
-        raise ConfigError(f"{path}: times must increase, and do not at value {place + 1} of {count}")
+        raise ConfigError(
+            f"{path}: times must increase, and do not at value {place + 1} of {count}; give the rate (--scan-rate HZ) "
+            "to ignore the times"
+        )
     rate = 1.0 / float(np.median(steps))
     if resampled:
         return rate, np.arange(count)
@@ -273,15 +291,15 @@ def _without_holes(times: Real, rate: float, digit: float) -> float:
 
 
 def _mostly_equal(steps: Real) -> bool:
-    """Return whether most steps between times are equal, so that others are missing scans and not rounded times."""
+    """Return whether most steps between times are equal: then the others are due to missing scans, not to rounding."""
     middle = float(np.median(steps))
     return bool(np.mean(np.abs(steps - middle) <= 1e-6 * abs(middle)) > MOSTLY)
 
 
 def last_digit(times: Real) -> float:
-    """Return the value of the last decimal digit of times [s], such as 0.001.
+    """Return the value of the last decimal digit with which times are written [s], such as 0.001.
 
-    With more than `DECIMALS` decimals it is the spacing of numbers in single precision at the last time.
+    For times with more than `DECIMALS` decimals it is the spacing of single-precision numbers at the last time.
     """
     for decimals in range(DECIMALS + 1):
         scaled = times * 10.0**decimals
@@ -294,10 +312,15 @@ def last_digit(times: Real) -> float:
 def _resampled(
     path: Path, times: Real, found: dict[str, Real], followed: dict[str, Real], exact: float, rate: int
 ) -> Grid:
-    """Return signals at the requested rate, by interpolation; a lower rate than the file's would alias.
+    """Return signals at the requested `rate` [Hz], by interpolation; `exact` is the scan rate of the file [Hz].
 
-    Signals in `followed` keep their value until the next one. Nothing is interpolated where scans are missing: each
-    stretch between two holes has its own spline. `exact` is the scan rate of the file [Hz], `rate` the requested one.
+    Each stretch of times without missing scans has a spline of its own, and nothing is interpolated between stretches.
+    The signals in `followed` (frequency and gap) are not interpolated, but keep their value until the next one.
+
+    Raises:
+        ConfigError: the requested rate is too high, or lower than that of the file, which would alias. Or a value is
+            not finite, or each stretch has only one scan.
+        BudgetError: there would be too many values.
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(
@@ -318,7 +341,10 @@ def _resampled(
         if end - begin > 1:
             parts.append((slice(begin, end), index[first:last]))
     if not parts:
-        raise ConfigError(f"{path}: its times have a hole after every scan, so nothing can be resampled")
+        raise ConfigError(
+            f"{path}: its times have a hole after every scan, so nothing can be resampled; give the rate "
+            "(--scan-rate HZ) instead"
+        )
     splined = {
         name: np.concatenate([_spline(times[part], values[part])(own / rate) for part, own in parts])
         for name, values in found.items()

@@ -144,7 +144,7 @@ def quantity(unit: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a cell of a table's heading is a unit, of whatever quantity, and not a name."""
+    """Return whether a cell of a table's heading is a unit of any quantity, which distinguishes it from a name."""
     bare = _bare(text)
     bare = bare[1:-1].strip() if bare.startswith("(") and bare.endswith(")") else bare
     return _parse(bare) is not None or bare.lower() in _OTHER_UNITS

@@ -317,7 +317,7 @@ def test_a_stated_rate_has_the_decimal_sign_of_the_table(stated: str, rate_hz: f
     [
         ("Sample rate divider: 4", ""), ("Sampling rate index: 3", ""), ("Baud rate: 115200", ""),
         ("Drop rate: 0.1", ""), ("feed rate: 5 mm/s", ""),
-        ("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz", "it states several: 51200 Hz, 125 Hz"),
+        ("ADC sampling rate: 51200 Hz\nDecimated sampling rate: 125 Hz", "several rates are stated: 51200 Hz, 125 Hz"),
     ],
 )  # fmt: skip
 def test_unrelated_or_several_rates_above_a_table_are_not_used(head: str, note: str) -> None:
@@ -637,8 +637,8 @@ def test_tdms_channels_that_start_at_different_times_are_not_taken_for_simultane
 @pytest.mark.parametrize(
     ("others", "stated", "rate_hz", "note"),
     [
-        ({}, {}, 1.0, "wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate"),
-        ({}, {"Sample Rate": 125.0}, None, "it states several: 1 Hz (wf_increment), 125 Hz"),
+        ({}, {}, 1.0, "wf_increment is 1 s, as of waveforms without a time step; --scan-rate HZ states another rate"),
+        ({}, {"Sample Rate": 125.0}, None, "several rates are stated: 1 Hz (wf_increment), 125 Hz"),
         ({"Time": (TIME_S, {"wf_increment": 1.0, "unit_string": "s"})}, {}, None, ""),
     ],
 )

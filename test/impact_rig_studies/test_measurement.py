@@ -495,7 +495,7 @@ def test_a_dry_run_reports_why_a_column_is_unused_and_that_the_gap_is_unknown(
     printed = capsys.readouterr().out
     for line in (
         "not used: earlier, its name matches no channel",
-        "not used: top, the channel laser is laser 1",
+        "not used: top, the channel laser uses the signal laser 1",
         "not used: coil, its unit mm is not possible for the channel current",
         "left out: note, texts",
         "left out: time, the times are those of timestamp",
@@ -674,7 +674,7 @@ def test_data_that_an_import_omits_are_reported(tmp_path: Path, capsys: pytest.C
     for line in (
         "left out: fft, complex numbers",
         "left out: cube, an array of more than two dimensions",
-        "left out: dt, no rate or period: -1",
+        "left out: dt, no valid rate or period: -1",
     ):
         assert line in printed
 

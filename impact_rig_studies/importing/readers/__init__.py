@@ -95,7 +95,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def format_of(path: Path, content: bytes) -> Format:
-    """Return the format of a file by its suffix; for `.mat` the content tells versions 5 and 7.3 apart.
+    """Return the format of a file by its suffix; for `.mat` the content distinguishes versions 5 and 7.3.
 
     Raises:
         RecordingError: the suffix is unknown.
@@ -107,10 +107,10 @@ def format_of(path: Path, content: bytes) -> Format:
 
 
 def read(path: Path) -> ImportedSignals:
-    """Return the signals in a file; its suffix names the format.
+    """Return the signals in a file, or in the directory of a ROS bag; the suffix determines the format.
 
-    The reader runs in a separate process with a limit on memory and time, so a file that crashes or blocks a library is
-    only an error.
+    The reader runs in a separate process with a limit on memory and time. A file that crashes or blocks a library
+    therefore only causes an error.
 
     Raises:
         RecordingError: the suffix is unknown, a library is missing, or the file cannot be read, is damaged, of another
@@ -123,7 +123,7 @@ def read(path: Path) -> ImportedSignals:
             format_of(path, b"")
         if bag_bytes is None and not stat.S_ISREG(path.stat().st_mode):
             what = "a directory" if path.is_dir() else "not a regular file"
-            raise RecordingError(f"{path} is {what}: a file of measurements is needed")
+            raise RecordingError(f"{path} is {what}: a file of measurements, or the directory of a ROS bag, is needed")
         content = b"" if bag_bytes else files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -13,9 +13,10 @@
 # limitations under the License.
 """Reader of ROS bags of other drivers (rosbag2 with MCAP or SQLite, ROS 1), with rosbags.
 
-Each number of a message is a signal, at the stamp in the header, or at the time of receipt if that is missing or zero.
-In a `PointCloud2` the columns are signals, and the column `time` (or `t`) is the time of each row since the stamp [s].
-Without that column, a cloud of one row is at its stamp, and a topic with larger clouds is left out with a reason.
+Each field of numbers in the messages of a topic is a signal. The time of a value is the stamp in the message's header,
+or the time of receipt if there is no stamp or it is zero. In a `PointCloud2` the columns are signals, and the column
+`time` (or `t`) contains the time of each row since the message's stamp [s]. Without that column, a cloud with a single
+row has the time of its stamp, and a topic with larger clouds is left out with a reason.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ def is_bag(path: Path) -> bool:
 def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
     """Read the numbers in the messages of a bag as signals, one per topic and field.
 
-    A topic is left out, with the reason for the user, if a message of it cannot be decoded or differs from the first in
-    its fields. The result is without signals if no message has numbers.
+    A topic is left out, with the reason for the user, if one of its messages cannot be decoded, or has other fields
+    than the first one. The result has no signals if no message has numbers.
 
     Raises:
         BudgetError: the messages have more numbers than a bag of `file_bytes` bytes may contain.
@@ -128,7 +129,10 @@ class _Series:
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Add the numbers of a message; if it does not fit the earlier ones, `left_out` becomes the reason."""
+        """Add the numbers of a message; if its fields differ from those of earlier ones, only set `left_out`.
+
+        `log_ns` is the time of receipt, used if the message has no stamp.
+        """
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0
         if not stamp_ns:  # of a driver that leaves the stamp empty
@@ -179,9 +183,10 @@ class _Series:
 
 
 def _leaves(message: Any, prefix: str, unit: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
-    """Yield the numbers in a message: dotted name of the field after `prefix`, and value with unit.
+    """Yield the numbers in a message: for each the dotted name of its field after `prefix`, and (value, unit).
 
-    Constants, covariances and stamps are left out. `unit` is that of the enclosing field.
+    Constants, covariances, stamps, texts, booleans, arrays of messages and arrays longer than `MOST_ELEMENTS` are left
+    out. `unit` is that of the enclosing field, and applies to fields whose unit is unknown.
     """
     labels = getattr(message, "name", None)
     for field in message.__dataclass_fields__:

@@ -58,11 +58,12 @@ class Layout:
     width: int  # number of cells in a row
     first: int  # line of the first row of numbers
     words: frozenset[int] = frozenset()  # columns of words
-    empty: frozenset[int] = frozenset()  # columns without content in the sample: of remarks, or after a last separator
+    # columns that are empty in the lines used for detection: of remarks, or after a separator at the end of each row
+    empty: frozenset[int] = frozenset()
 
 
 def read(path: Path, content: bytes) -> ImportedSignals:
-    """Read a text table, or a LabVIEW measurement file with another suffix.
+    """Read the columns of a text table as signals; a LabVIEW measurement file is recognised under any suffix.
 
     Raises:
         RecordingError: more than `HEADER_LINES` lines are before the first row of numbers, there is no such row, or a
@@ -140,7 +141,10 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
 
 def _seen_instead(lines: Sequence[str]) -> str:
-    """Return the end of the message that there are no rows of numbers: a later line, in case a column was added."""
+    """Return the end of the message that no row of numbers was found: a line from the second half of the file.
+
+    If this line is a row of numbers, the rows of the file have changed, for example by an added column.
+    """
     sample = _sample(lines)
     if len(lines) <= 1 or not sample:
         return ""
@@ -178,7 +182,8 @@ def _is_value(cell: str) -> bool:
 def is_row(line: str, layout: Layout) -> bool:
     """Return whether a line is a row of numbers of the table.
 
-    It has as many cells as the layout, a number or time in each column of numbers, and not only missing numbers.
+    Such a row has as many cells as the layout. Each cell in a column of numbers is a number, a missing number or a
+    time, and not all of them are missing.
     """
     if not line.strip() or line.startswith(COMMENTS):
         return False
@@ -199,7 +204,10 @@ def _is_other_row(line: str, layout: Layout) -> bool:
 
 
 def _end(lines: Sequence[str], layout: Layout) -> int:
-    """Return the number of the line after the last row of numbers."""
+    """Return the index of the line after the last row of numbers.
+
+    It is searched from the end of the file, across at most `TRAILING_LINES` other lines; empty ones do not count.
+    """
     end = len(lines)
     for _ in range(TRAILING_LINES):
         while end > layout.first and not lines[end - 1].strip():
@@ -211,7 +219,11 @@ def _end(lines: Sequence[str], layout: Layout) -> int:
 
 
 def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return a unique name for each column, units by name, and the other ones of the `lines` before the numbers."""
+    """Interpret the `lines` before the first row of numbers as headings.
+
+    Returns:
+        A unique name for each column, the known units by name, and the lines that contain neither names nor units.
+    """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
     for number, line in enumerate(lines):
@@ -256,7 +268,8 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
 def _heading_cells(line: str, layout: Layout) -> list[str]:
     """Return the cells of a line of headings.
 
-    Unlike in rows, a cell may contain single blanks, and cells of empty last columns may be missing.
+    Unlike in rows of numbers, a cell may contain single blanks, and the cells of empty columns at the end of the line
+    may be missing.
     """
     width = layout.width
     row = split(line, layout.delimiter)
@@ -274,14 +287,14 @@ def _heading_cells(line: str, layout: Layout) -> list[str]:
 def read_rows(
     path: Path, lines: Sequence[str], layout: Layout, first: int, end: int
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
-    """Return the columns of the table in the lines first <= line < end, and the numbers of lines that are comments.
+    """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
-    Lines count from 0. A column holds floats, or texts for words and times. The first one holds integers if one of
-    them is 2^53 or larger, such as a stamp.
+    Lines count from 0. A column contains floats, or texts if it has words or times. The first column contains integers
+    if one of its numbers is a whole number of at least 2^53, such as a stamp.
 
     Raises:
-        RecordingError: a row has another number of cells, or a cell of a column of numbers is no number; the message
-            names the line, counted from 1.
+        RecordingError: a row has another number of cells than the first one, or a cell in a column of numbers is not a
+            number; the message names the line, counted from 1. Or a column has numbers only in a part of its rows.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
@@ -302,7 +315,7 @@ def read_rows(
 
 
 def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.generic]:
-    """Return a mostly empty column, from its parts: as numbers if all its cells are numbers, else as words."""
+    """Join the parts of a mostly empty column: to numbers if all cells are numbers or empty, else to words."""
     column = np.concatenate(part).astype(str).tolist() if part else []
     values = [cells.number(cell, layout.decimal) for cell in column]
     return np.array(column if None in values else values, dtype=str if None in values else np.float64)
@@ -311,7 +324,10 @@ def _remarks(part: list[NDArray[np.generic]], layout: Layout) -> NDArray[np.gene
 def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: list[int]) -> list[NDArray[np.generic]]:
     """Return the columns of some lines, by NumPy's fast reader if all cells are plain numbers, else cell by cell.
 
-    `chunk` contains the lines with their numbers; numbers of comments are added to `skipped`.
+    `chunk` contains the lines with their indices in the file. The indices of comments are added to `skipped`.
+
+    Raises:
+        RecordingError: a line has another number of cells than the layout, or a cell is not a number.
     """
     plain = [(number, line) for number, line in chunk if line.strip()]
     if not (layout.words or layout.empty) and not any('"' in line or "_" in line for _, line in plain):
@@ -345,7 +361,9 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 
 
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
-    """Return the cells of column j, in lines `numbers`, as integers, floats, or words (which include times).
+    """Convert the cells of column j to integers, floats, or texts (for words and times).
+
+    `numbers` are the indices of their lines, for the message.
 
     Raises:
         RecordingError: a cell in a column of numbers is not a number.

@@ -40,12 +40,12 @@ def is_hdf5(content: bytes) -> bool:
 
 @attrs.define
 class Hdf5Tree:
-    """Reader of the groups and datasets of an HDF5 file, and the parts that were left out, by name with the reason."""
+    """Reader of the groups and datasets of an HDF5 file, which also collects what is left out."""
 
     library: ModuleType  # h5py
-    file_bytes: int
-    left_out: dict[str, str] = attrs.field(factory=dict)
-    _values: int = 0
+    file_bytes: int  # size of the file, which limits how many values may be read
+    left_out: dict[str, str] = attrs.field(factory=dict)  # parts that were left out: name to the reason, for the user
+    _values: int = 0  # number of values read so far
 
     def open(self, content: bytes) -> Any:
         """Return the h5py file for the content of an HDF5 file, which is also its root group."""
@@ -69,11 +69,11 @@ class Hdf5Tree:
                 yield name, group[name]
 
     def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
-        """Return the content of a dataset; None if it is empty, which is noted in `left_out`.
+        """Return the content of a dataset; if it has no data space, add it to `left_out` and return None.
 
         Raises:
-            RecordingError: the dataset keeps its data elsewhere.
-            BudgetError: the datasets read so far are larger than a file of this size may contain.
+            RecordingError: the data are in another file or in other datasets.
+            BudgetError: all datasets read so far have more values than a file of this size may contain.
         """
         if dataset.external:
             raise RecordingError(f"{name} keeps its data in another file, which is not opened")
@@ -90,7 +90,7 @@ class Hdf5Tree:
         """Return the texts in a dataset as a list, which is empty for an empty dataset.
 
         Raises:
-            RecordingError, BudgetError: as `array`.
+            RecordingError, BudgetError: as `array`, or the dataset has more texts than a file may have columns.
         """
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()
@@ -116,7 +116,10 @@ def _whole(dataset: Any) -> NDArray[Any]:
 
 
 def attribute(holder: Any, name: str) -> Any:
-    """Return an attribute of an HDF5 object as a number or text (of an array the first), or None if it has none."""
+    """Return an attribute of an HDF5 object as a number or text, or None if it is missing or empty.
+
+    Of an array, the first element is returned.
+    """
     if name not in holder.attrs:
         return None
     value = holder.attrs[name]

@@ -64,7 +64,10 @@ class _Segment:
         return cells.number(text, decimal) if text else None
 
     def text(self, key: str, channel: int) -> str:
-        """Return the text of the header for a channel; where each channel has an X column, cells between are empty."""
+        """Return the text that the header states for a channel under a key; empty if there is none.
+
+        If each channel has an X column of its own, every second cell of the header belongs to such a column.
+        """
         values = self.header.get(key, [])
         if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
             values = values[::2]
@@ -92,7 +95,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     """Read the columns in the lines of a LabVIEW measurement file as signals.
 
-    Segments that continue the first one without a gap are joined to it; all others are left out.
+    The first segments, as far as each continues the one before without a gap, are joined; the others are left out.
 
     Raises:
         RecordingError: the file has no rows of numbers.
@@ -113,7 +116,7 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
         raise RecordingError(f"{path} is a LabVIEW measurement file without rows of numbers")
     joined = _joined(segments, decimal)
     for number, segment in enumerate(segments[joined:], joined + 1):
-        left_out[f"segment {number}"] = f"{len(segment.rows)} rows that do not go on where segment {number - 1} ends"
+        left_out[f"segment {number}"] = f"{len(segment.rows)} rows, which do not continue the first segment"
     head = segments[0]
     has_multiple_x = general.get("X_Columns", "One").lower().startswith("multi")
     width = len(head.names)
@@ -172,7 +175,10 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segm
 
 
 def _joined(segments: Sequence[_Segment], decimal: str) -> int:
-    """Return how many segments, from the first on, follow each other without a gap and can be joined to one signal."""
+    """Return the number of segments, counted from the first, that follow each other without a gap.
+
+    They have the same columns, and each begins where the one before ends.
+    """
     for number, (one, after) in enumerate(itertools.pairwise(segments), 1):
         step = one.number("Delta_X", 0, decimal)
         begin, following = one.number("X0", 0, decimal), after.number("X0", 0, decimal)

@@ -145,10 +145,11 @@ def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, d
 
 
 def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, str]) -> ImportedSignals:
-    """Return the columns of all structs as signals; a struct without times or rate uses those of the one around it.
+    """Return the columns of all structs as signals; a struct without times or rate uses those of the structs around it.
 
     Raises:
-        RecordingError: there is no vector of numbers; the message names what was left out.
+        RecordingError: there is no vector of numbers, although the file has variables; the message names what was left
+            out.
     """
     parts: dict[str, ImportedSignals] = {}
     for where, columns in tables.items():
@@ -178,7 +179,10 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
 
 
 def _outer(where: str) -> list[str]:
-    """Return the dotted paths of the structs around the struct `where`; the first, the file itself, is empty."""
+    """Return the dotted paths of the structs around the struct `where`, outermost first.
+
+    The first path is empty and means the file itself. For the file itself there are none.
+    """
     parts = where.split(".") if where else []
     return ["", *(".".join(parts[:number]) for number in range(1, len(parts)))] if parts else []
 

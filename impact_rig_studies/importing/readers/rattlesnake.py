@@ -35,8 +35,8 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all channels of all streams of a file as signals.
 
-    A signal is named by its channel's comment, else by its node or its number. If there are several streams, the name
-    of the stream precedes it, except in the longest one.
+    The name of a signal is the comment of its channel, or else its node, or else `channel_` with its number. If there
+    are several streams, the names of all but the longest stream's signals begin with the name of their stream.
 
     Raises:
         RecordingError: the file is not one of Rattlesnake's, or its rate is not finite and above 0.

@@ -42,7 +42,9 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the channels of numbers in all groups of a TDMS file as signals; there may be none.
+    """Read the channels of numbers in all groups of a TDMS file as signals; a file without any gives none.
+
+    Other channels are left out, with the reason for the user.
 
     Raises:
         BudgetError: the file claims more values than one of its size may contain.
@@ -102,8 +104,9 @@ def _rate_hz(holder: object) -> float | None:
 def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
     """Return the abscissa of a channel with `count` values, and its kind.
 
-    The properties of its waveform take precedence, then times `listed` in another channel [s], then `rate_hz`. The
-    increment `NO_INCREMENT` yields to listed times, and with another rate neither counts.
+    The step that its waveform properties state takes precedence, then the times `listed` in another channel [s], then
+    `rate_hz`. A step of `NO_INCREMENT` may mean that none was set. It is therefore ignored if times are listed, and if
+    `rate_hz` contradicts it, the channel has no abscissa.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
@@ -112,7 +115,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
     if step == NO_INCREMENT and has_times:
         step = None
     elif step == NO_INCREMENT and rate_hz and abs(rate_hz - 1.0) > headings.SAME_RATE:
-        note = f"it states several: 1 Hz (wf_increment), {rate_hz:g} Hz"
+        note = f"several rates are stated: 1 Hz (wf_increment), {rate_hz:g} Hz"
         return attrs.evolve(NO_ABSCISSA, note=note), SignalKind.TIME_RESPONSE
     words = " ".join(str(properties.get(key, "")) for key in ("wf_xname", "wf_xunit_string")).lower()
     if step is not None and step > 0.0:
@@ -122,7 +125,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
         factor = units.unit_factor(unit, "s") if units.quantity(unit) == "s" else None
         if factor is None:
             return Abscissa(AbscissaKind.OTHER, unit, offset, step), SignalKind.OTHER
-        note = "wf_increment is 1, as of waveforms without a time step; --scan-rate states another rate"
+        note = "wf_increment is 1 s, as of waveforms without a time step; --scan-rate HZ states another rate"
         note = note if step == NO_INCREMENT else ""
         return Abscissa(AbscissaKind.TIME, unit, offset * factor, step * factor, note=note), SignalKind.TIME_RESPONSE
     if listed is not None and has_times:

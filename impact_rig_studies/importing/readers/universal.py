@@ -77,7 +77,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
         for number, kind in enumerate(types):
             label = f"dataset {number + 1}"
             if kind not in READABLE:
-                left_out[label] = f"of type {kind}: no function"
+                left_out[label] = f"of type {kind}, which is not a function (type 58)"
                 continue
             try:
                 one = file.read_sets(number)
@@ -132,7 +132,7 @@ def _add(
         left_out[label] = "neither its function type nor its abscissa states that it is over time"
         return
     if not np.isfinite(abscissa.start):
-        left_out[label] = "its abscissa begins with no number"
+        left_out[label] = "the first value of its abscissa is not a finite number"
         return
     node = f"{one.get('rsp_node', 0)}:{one.get('rsp_dir', 0)}"
     name = names.unique(plain if plain not in signals else f"{plain} {node}")
@@ -166,9 +166,10 @@ def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
 
 
 def _unit(one: dict[str, Any], system: str) -> str:
-    """Return the unit of a dataset's values: its label, or else that of their quantity with `system` as unit of length.
+    """Return the unit of a dataset's values: its label, or else the unit of their quantity with `system` for lengths.
 
-    It is empty if neither is known. Values per another quantity, such as an impulse response in mm/N, have both units.
+    It is empty if neither is known. The unit of values per another quantity, such as an impulse response in mm/N,
+    includes that of this quantity.
     """
     label = _label(one.get("ordinate_axis_units_lab"))
     quantity, below = (int(one.get(f"{name}_spec_data_type", 0) or 0) for name in ("ordinate", "orddenom"))

@@ -32,11 +32,13 @@ _UNKNOWN_SIZE = (0, 0xFFFFFFFF)  # size of a chunk that was written to a stream
 def read(path: Path, content: bytes) -> ImportedSignals:
     """Read all channels of a WAV file as signals `channel_0`, `channel_1`, ...; full scale is 1.
 
-    Of a file that ends early, the samples that are there are read, and what is missing is noted in `left_out`.
+    If the file is shorter than its header claims, the existing samples are read, and `left_out` states how much is
+    missing.
 
     Raises:
         RecordingError: the file is not a WAV file, its header is damaged, or its samples are neither PCM of up to 64
             bits nor floating point of 32 or 64 bits.
+        BudgetError: the file has too many channels or values.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
         raise RecordingError(f"{path} is not a WAV file: it does not begin with RIFF … WAVE")
@@ -80,7 +82,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
-    """Return the format chunk of a WAV file, its bytes of samples, and the number of these that the header claims.
+    """Return the format chunk of a WAV file, the bytes of its samples, and their number according to the header.
 
     `order` is the byte order, `<` or `>`.
 
