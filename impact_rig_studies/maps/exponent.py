@@ -16,8 +16,7 @@
 A second motion starts at a small distance from the first. After each return to the section their distance is measured
 and reset to its initial size (Benettin, Galgani & Strelcyn 1976). No derivative is needed, so that the method also
 applies to impacts. The exponent is the mean over windows, each of several returns. Its standard uncertainty follows
-from the scatter of the windows: windows longer than the memory of the motion count as
-independent.
+from the scatter of the windows, which count as independent: they must be longer than the memory of the motion.
 
 G. Benettin, L. Galgani & J.-M. Strelcyn (1976), "Kolmogorov entropy and numerical experiments", Phys. Rev. A 14, 2338.
 """
@@ -65,9 +64,9 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
 
 
 def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterator[float]:
-    """Yield the mean exponent per return in each window; arguments as for `largest`.
+    """Yield the mean exponent per return in each window, without end; arguments as for `largest`.
 
-    There is no last window, unless the sphere is in contact at `_OUT_OF_SIGHT` returns in a row: then the last is NaN.
+    If the sphere is in contact with a wall at `_OUT_OF_SIGHT` returns in a row, NaN is yielded, and then nothing more.
     """
     apart = np.full(len(z), APART / math.sqrt(len(z)))
     for number in itertools.count():
@@ -90,7 +89,7 @@ def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterato
 
 
 def summary(windows: list[float]) -> Exponent:
-    """Return the exponent of a motion from the mean exponents of two windows or more."""
+    """Return the exponent of a motion from its mean exponents in two windows or more; NaN if the last one is NaN."""
     n = len(windows)
     if math.isnan(windows[-1]):
         return Exponent(math.nan, math.nan, ())

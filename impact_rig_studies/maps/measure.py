@@ -122,7 +122,7 @@ NOTHING = Reading(FAILED, *[math.nan] * 10)  # reading of a point whose motion c
 
 
 class _Record(NamedTuple):
-    """Record of consecutive drive cycles: their numbers, and the impacts of the sphere during them."""
+    """Record of consecutive drive cycles: a row of amplitudes and positions for each, and the sphere's impacts."""
 
     cycles: NDArray[np.void]  # one row of dtype `fundamental.CYCLE` per cycle
     cycle: NDArray[np.int64]  # for each impact, the index of its cycle in the record
@@ -226,8 +226,9 @@ class MapRig:
         """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
 
         Returns:
-            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, the exponent says
-            nothing about the motion that follows, so the regime is the one that amplitude and impacts show.
+            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, the Lyapunov exponent
+            does not describe the motion that follows. The regime of the reading is then the one that the amplitude of
+            the superior base and the impacts show.
         """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
@@ -269,10 +270,10 @@ class MapRig:
         return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
-        """Return whether a motion that seems to have settled still does so some cycles later; True without impacts.
+        """Return whether a motion that seems to have settled still seems so `_PART` cycles later; True without impacts.
 
-        A chaotic motion in a band thinner than the tolerance seems to settle now and then. Afterwards the rig is in the
-        same state as before.
+        A chaotic motion that varies by less than the tolerance seems to settle now and then. The rig is returned to its
+        present state after this check.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -282,10 +283,11 @@ class MapRig:
         return _settled(later, frequency_hz, self._settings) is not None
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
-        """Return the sign of the largest Lyapunov exponent, for the choice of the regime.
+        """Return the sign of the largest Lyapunov exponent of the present motion.
 
-        It is 1 if neighbouring motions separate, -1 if they approach one another, and 0 if neither is certain, as
-        without impacts. Afterwards the rig is in the same state as before.
+        It is 1 if neighbouring motions separate, -1 if they approach one another, and 0 if neither is certain. It is
+        also 0 for a `record` without impacts, or if the sphere is in contact. The rig is returned to its present state
+        afterwards.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -322,8 +324,8 @@ class MapRig:
     def behaviour(self, frequency_hz: float, amplitude: float, cycles: int) -> Behaviour:
         """Advance by some drive cycles, and classify their motion as the analysis of a measurement does.
 
-        It knows only the amplitude of the superior base and the impacts. A chaotic motion can therefore appear
-        periodic, if its changes from cycle to cycle are small. Arguments and errors are those of `run_cycles`.
+        The classification uses only the amplitude of the superior base and the impacts. A chaotic motion can therefore
+        appear periodic, if its changes from cycle to cycle are small. Arguments and errors are those of `run_cycles`.
         """
         return _behaviour(self._run(frequency_hz, amplitude, cycles), self._settings)
 
@@ -358,9 +360,10 @@ class MapRig:
 
 
 def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
-    """Return both bases and the sphere's position and velocity, relative to the mean amplitude of a base, by cycle.
+    """Return x_b, x_1, x_2 and v_2 of each cycle, made dimensionless by mean amplitudes, shape (4, cycles).
 
-    The result has the shape (4, cycles). It is None if a base does not move.
+    The amplitude x_b of the inferior base is divided by its own mean, the other three by that of the superior base (and
+    the drive frequency in rad/s, for the velocity). The result is None if the mean amplitude of a base is zero.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()
@@ -371,10 +374,11 @@ def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | No
 
 
 def _leaves(record: _Record, frequency_hz: float) -> bool:
-    """Return whether a motion is leaving a periodic orbit: its small changes per period have grown to the very end.
+    """Return whether a motion is leaving a periodic orbit: its changes from period to period are small, but growing.
 
-    While it leaves, neighbouring motions separate at the rate at which it leaves, although it may settle later. The
-    changes of a chaotic motion do not grow steadily.
+    They must grow from each to the next of `_RISES` parts of the record, and be at most `_CLOSE` in the last one. The
+    changes of a chaotic motion do not grow steadily. While a motion leaves an orbit, neighbouring motions separate at
+    the rate at which it leaves, although it may settle later.
     """
     series = _series(record.last(_RISES * CHUNK), frequency_hz)
     if series is None:

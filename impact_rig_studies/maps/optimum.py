@@ -46,14 +46,14 @@ SENSITIVE = (  # configuration values whose influence on the reduction is comput
 
 @attrs.frozen(kw_only=True)
 class Optimum:
-    """Value of one parameter at which the sphere reduces DT most, with the motion there and its sensitivities."""
+    """Value of one parameter at which the sphere reduces DT most, with the motion and the sensitivities there."""
 
     over: str  # name of the parameter
     value: float  # its best value [SI]
     reading: Reading  # motion of the mechanics there
     region: tuple[float, float]  # ends of the range of values around it within 1 percentage point of the best reduction
     points_per_percent: dict[str, float]
-    """Change of the reduction [percentage points] if a value is 1 % larger, by name of the value.
+    """Change of the reduction of DT [percentage points] if a value of the rig is 1 % larger, by name of the value.
 
     The values are those of `SENSITIVE`, frequency and current of the drive, and the parameter itself.
     """
@@ -119,7 +119,7 @@ def _best(known: dict[float, Reading]) -> float:
 
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
-    """Measure points from a reset rig at some values of the parameter `over`, in order.
+    """Measure points at some values of the parameter `over`, each from a reset rig; return them in the same order.
 
     Args:
         plan: plan of the map, with all other values.

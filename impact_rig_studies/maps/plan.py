@@ -89,7 +89,7 @@ class MapLine(HashedTask):
         return f"{held}, {self.direction}"
 
     def read(self, rows: Sequence[Row]) -> list[Reading]:
-        """Convert the rows that were stored for this line to readings, one for each of `values`.
+        """Convert the rows that were stored for this line to readings, one for each value in `values`.
 
         Raises:
             ValueError: the number of rows is wrong, or a row is not a valid reading.
@@ -276,10 +276,14 @@ def _read(top: Mapping[str, object], path: Path, text: str, resolved: RigConfig 
     starts = axes.values("starts", top["starts"]) if "starts" in top else []
     for name in ("starts", POSITION, SPEED):
         if direction != RESET and (name in given or name in top):
-            raise ConfigError(f"{name} is a start condition: direction must be {RESET}, got {direction!r}")
+            raise ConfigError(
+                f"{name} sets how each point starts: direction must then be {RESET}, got {direction!r}; set it to "
+                f"{RESET} or remove {name}"
+            )
     if starts and {POSITION, SPEED} & set(given):
         raise ConfigError(
-            f"starts and an axis {POSITION} or {SPEED} exclude each other: both define where the sphere starts"
+            f"starts and an axis {POSITION} or {SPEED} exclude each other, because both define where the sphere "
+            "starts: remove one of them"
         )
     return MapPlan(
         title=str(top.get("title", path.stem)),
@@ -350,7 +354,7 @@ def refuse_owned(key: str, name: str) -> None:
     if name == "drive.frequency_hz":
         raise ConfigError(f"{key}: use {FREQUENCY} instead of {name}")
     if name.startswith(OWNED):
-        raise ConfigError(f"{key}: {name} is irrelevant to a map or dynamics study; remove it")
+        raise ConfigError(f"{key}: {name} has no effect on a map or dynamics study; remove it")
 
 
 def _check_corners(plan: MapPlan) -> None:

@@ -84,7 +84,7 @@ def store(directory: str | Path) -> TaskStore[MapLine]:
 
 
 def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
-    """Return a planned map with the results that its output directory already contains, possibly none."""
+    """Return a map with the results that are already stored in its output directory; missing points are NaN."""
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
     values: dict[str, dict[str, NDArray[np.generic]]] = {}
@@ -115,10 +115,10 @@ def open_map(directory: str | Path) -> FinishedMap:
 
 
 def write_results(done: FinishedMap, more: dict[str, object]) -> None:
-    """Write `map.csv` and `map.json` to the directory of a map, replacing existing ones.
+    """Write `map.csv` and `map.json` to the output directory of a map, replacing existing files of these names.
 
     Args:
-        done: the map.
+        done: the map with its results.
         more: further entries of `map.json`, such as the optimum.
     """
     files.write_csv(done.directory / CSV_FILE, *table(done))

@@ -13,6 +13,7 @@
 # limitations under the License.
 """Operators of a rig: they set the drive, wait until it is applied and the response has settled, measure, and repeat.
 
-`stepped_sine` and `phase_lock` decide the next setpoint, without access to a rig or ROS. `operator` is the loop that
-applies it: to a rig of `impact_rig.driver`, in this process or over ROS topics, or from a node's callbacks.
+`stepped_sine` and `phase_lock` decide the next setpoint (frequency and current), without access to a rig or ROS.
+`operator` applies it and returns the events of the rig to them: in a loop that drives a rig of `impact_rig.driver` (in
+this process or over ROS topics), or from the callbacks of a node.
 """

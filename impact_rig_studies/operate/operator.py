@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Loop that connects a controller run (`SteppedSine` or `LockedSine`) to the drive of a rig.
+"""Connection of a controller run (`SteppedSine` or `LockedSine`) to the drive of a rig.
 
-`Operator` receives updates of the rig and sets what the run requests; a node with callbacks passes on what arrives.
-`operate` drives a rig and its analysis block by block, for campaigns and the demo.
+`Operator` passes events of the rig to the run, and sets the drive to the setpoints that the run requests. A node calls
+it from its callbacks. `operate` is a complete loop around it, which also advances the rig and its analysis block by
+block, for campaigns and the demo.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ OnUpdate = Callable[[SteppedSine], None]  # receives the sweep at its start and 
 
 @attrs.frozen
 class Applied:
-    """Change of the drive that the rig has accepted and applied."""
+    """Change of the drive's frequency or current that the rig has accepted and applied."""
 
     setpoint: Setpoint  # frequency and current from that time on
     at_ns: int  # rig time of the change
 
     @classmethod
     def of(cls, table: Table, at_ns: int | None = None) -> list[Applied]:
-        """Return the changes of the drive in a received table of `shaker/applied`.
+        """Return the changes of the drive in a received table of `shaker/applied`, one for each row.
 
         Args:
             table: the table.
-            at_ns: rig time that replaces the times in the table; None keeps these.
+            at_ns: rig time that replaces the times in the table; None means that the times of the table count.
         """
         return [
             cls(
@@ -61,7 +62,10 @@ class Applied:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Update:
-    """Events of a rig since the previous update, for `Operator.handle`, which processes them in this order."""
+    """Events of a rig since the previous update.
+
+    `Operator.handle` processes them in the order of the fields, and the present time last.
+    """
 
     now_ns: int  # present rig time
     applied: Sequence[Applied] = ()  # accepted changes of the drive
@@ -71,7 +75,7 @@ class Update:
 
 
 ControllerRun = SteppedSine | LockedSine
-"""State machine of one sweep or phase lock: it answers each event of the rig with the next setpoint, or None."""
+"""State machine of one sweep or phase lock: it returns the next setpoint for each event of the rig, or None."""
 R = TypeVar("R", bound=ControllerRun)
 
 
@@ -80,8 +84,8 @@ class Operator(Generic[R]):
 
     Args:
         run: controller run, which decides the next setpoint and keeps the measurements.
-        drive: function that sets frequency and current of the rig. When the run ends or is aborted, it receives a last
-            setpoint with zero current; then `busy` is False.
+        drive: function that sets frequency and current of the rig. When the run finishes or is aborted, it is called a
+            last time, with zero current; `busy` is then already False.
         on_update: function that receives the run at its start, and after each update with new measurements.
     """
 
@@ -107,7 +111,7 @@ class Operator(Generic[R]):
     def handle(self, update: Update) -> None:
         """Pass the events of an update to the run one after the other, and set the drive to each requested setpoint.
 
-        `on_update` is called once if the run has accepted one or several measurements.
+        `on_update` is called once if the run has accepted at least one measurement of this update.
         """
         run, measured = self.run, self.run.measured
         for applied in update.applied:
@@ -123,7 +127,7 @@ class Operator(Generic[R]):
         self._follow(run.on_time(update.now_ns))
 
     def abort(self, reason: str) -> None:
-        """End a run in progress as aborted, and set the current of the drive to zero; otherwise do nothing.
+        """End a run in progress as aborted, and set the current of the drive to zero; without one do nothing.
 
         Args:
             reason: reason for the user, which becomes `run.reason`.
@@ -140,9 +144,9 @@ def ignore(_sweep: SteppedSine) -> None:
 
 
 def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
-    """Run a whole sweep on a rig until it has finished or is aborted; see `sweep.state` and `sweep.reason` afterwards.
+    """Run a complete sweep on a rig until it has finished or is aborted; see `sweep.state` and `sweep.reason` then.
 
-    The drive keeps the setpoint of the last point; it is not set to zero current.
+    At the end, the drive keeps the setpoint of the last point: the current is not set to zero.
 
     Args:
         sweep: the sweep, which decides the next setpoint and keeps the measurements.

@@ -13,23 +13,25 @@
 # limitations under the License.
 """Phase lock: a state machine that searches for the resonance, tracks it, and stays there (dwell).
 
-At the resonance the phase of the superior base relative to a reference (the inferior base, or the current) is −90°.
+At the resonance the phase φ of the superior base relative to a reference (the inferior base, or the current) is −90°.
 
     idle ── start ──► seeking ── phase crosses −90° ──► tracking ⇄ locked ── dwell time over ──► finished
                          └─────────── time or amplitude limit, stop ┴──────────────────────────► aborted
 
-Seeking steps the frequency coarsely in the direction indicated by the phase, until the phase has crossed. Tracking
-corrects the frequency continuously by a part of the detuning of each sample: an integral controller. Against the base
-the detuning is known for any damping: 1/T = 1 − r² + 2iζr, so it is f/2 Re(X_b/X_1). Against the current it is tan φ'
-(φ' = phase + 90°) times the slope of the resonance. The search has measured this slope, and tracking corrects it: the
-slope was too large if the detuning changes sign from sample to sample, and too small if it keeps its sign.
+Seeking steps the frequency coarsely in the direction indicated by the phase, until the phase has crossed −90°. Tracking
+then corrects the frequency at each sample by a part of the detuning (resonance minus drive frequency): an integral
+controller. With the inferior base as reference, the detuning is known for any damping: T = X_1/X_b, superior over
+inferior base, fulfils 1/T = 1 − r² + 2iζr with r = f/f_n, so the detuning is f/2 Re(X_b/X_1). With the current as
+reference, it is tan φ' (φ' = φ + 90°) times the slope of the resonance. The search has measured this slope, and
+tracking corrects it: the slope was too large if the detuning changes sign from sample to sample, and too small if it
+keeps its sign.
 
 A sample (`PhasorMeter`) is faster than a settled measurement: the scans of the last whole cycles at constant frequency
 are fitted by a sine, and corrected for skew and lag of the sensors by their calibration certificate.
 
-`LockedSine` is the lock for an operator, which passes events of a rig to it. A program that itself drives a rig uses
-`LockLoop` with `run_phase_lock` and `follow`. It measures the backbone curve, the resonance over the amplitude, with
-`measure_backbone`.
+`LockedSine` is the lock for an `Operator`, which passes events of a rig to it. A program that drives a rig itself uses
+`LockLoop` with `run_phase_lock` or `follow`, and `measure_backbone` for the backbone curve, which is the resonance
+frequency over the amplitude.
 """
 
 from __future__ import annotations
@@ -60,9 +62,9 @@ MIN_CYCLES = 2  # smallest number of drive cycles in a sample
 
 
 class Sample(NamedTuple):
-    """Sample of the motion: complex amplitudes at the drive frequency, from consecutive scans of some cycles.
+    """Sample of the motion: complex amplitudes at the drive frequency, from the consecutive scans of some cycles.
 
-    The origin of their phases is arbitrary but common, so that only phases relative to one another are meaningful.
+    The phases of all amplitudes have the same, arbitrary origin, so that only their differences are meaningful.
     """
 
     end_ns: int  # rig time of the end of its scans
@@ -81,7 +83,7 @@ class Sample(NamedTuple):
     def sound(self) -> bool:
         """Return whether the three amplitudes are finite, and those of inferior base and current are not zero.
 
-        Otherwise neither DT nor a phase can be computed.
+        If they are not, DT or a phase cannot be computed.
         """
         sizes = abs(self.base), abs(self.superior), abs(self.current)
         return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
@@ -98,7 +100,7 @@ class PhasorMeter:
         self._calibration = Calibration.from_info(info)
 
     def sample(self, rows: NDArray[np.void], frequency_hz: float, end_ns: int) -> Sample | None:
-        """Return the complex amplitudes in the last whole cycles of some scans, or None for less than `MIN_CYCLES`.
+        """Return the complex amplitudes in the last whole drive cycles of some scans; None for less than `MIN_CYCLES`.
 
         Args:
             rows: consecutive rows of `daq/scan`, shape (n,).
@@ -143,7 +145,10 @@ The phase is that of the superior base relative to the reference of the lock.
 
 
 class Stage(enum.StrEnum):
-    """Stage of a running phase lock: coarse search, correction of the frequency, phase within the bound."""
+    """Stage of a running phase lock: coarse search, correction of the frequency, and correction with a locked phase.
+
+    The phase is locked if its mean over `MEAN_S` is within the plan's `within_deg` of −90°.
+    """
 
     SEEKING = "seeking"
     TRACKING = "tracking"
@@ -198,7 +203,7 @@ class PhaseLock:
 
     @property
     def locked(self) -> bool:
-        """Return whether the lock is running and its phase, averaged over `MEAN_S`, is now within the bound."""
+        """Return whether the lock is running, and its phase is locked at present (see `Stage`)."""
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
@@ -208,19 +213,19 @@ class PhaseLock:
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
-        """Continue with another peak current from the present frequency on, and return the setpoint.
+        """Continue at the present frequency with another peak current, and return the setpoint.
 
-        The phase must then be locked again within the plan's `lose_limit_s` (`seek_limit_s` if it has not been locked
-        yet), otherwise the lock is aborted.
+        If the phase is not locked within the plan's `lose_limit_s` from now on, the lock is aborted. For a lock whose
+        phase has never been locked, this limit is `seek_limit_s`.
         """
         self.current_a = current_a
         self.unlock(now_ns)
         return self._setpoint()
 
     def unlock(self, now_ns: int) -> None:
-        """Continue with tracking after a setting of the rig has changed; the limit for a lost lock starts again.
+        """Continue with tracking after a setting of the rig has changed at a rig time.
 
-        Earlier samples no longer count for the mean phase.
+        The time limit for a lock starts again, and earlier samples no longer count for the mean phase.
         """
         if self.stage is Stage.LOCKED:
             self.stage = Stage.TRACKING
@@ -230,7 +235,7 @@ class PhaseLock:
     def on_sample(self, sample: Sample) -> Setpoint:
         """Process a sample measured at the last setpoint, and return the next setpoint.
 
-        It equals the last one if nothing changes, and has zero current if the lock has ended.
+        The next setpoint equals the last one if nothing changes, and has zero current if the lock has ended.
         """
         if self.state is not SweepState.RUNNING:
             return self._setpoint()
@@ -243,7 +248,7 @@ class PhaseLock:
         if abs(sample.superior) > self._plan.superior_limit_m:
             return self.abort(
                 f"the superior base swings {abs(sample.superior) * 1e3:.3g} mm, more than the limit of "
-                f"{self._plan.superior_limit_m * 1e3:g} mm (superior_limit_m)"
+                f"{self._plan.superior_limit_m * 1e3:g} mm (superior_limit_m); lower the current or raise the limit"
             )
         turned = sample.superior / (sample.base if self._plan.reference == Reference.BASE else sample.current)
         if self.stage is Stage.SEEKING:
@@ -346,8 +351,9 @@ class PhaseLock:
                 )
         elif waited > plan.lose_limit_s:
             self.abort(
-                f"the lock was lost: for {plan.lose_limit_s:g} s of rig time the phase was not within "
-                f"-90 ± {plan.within_deg:g} degrees"
+                f"the lock was lost: for {plan.lose_limit_s:g} s of rig time (lose_limit_s) the mean phase of a second "
+                f"was not within -90 ± {plan.within_deg:g} degrees (within_deg); raise one of these limits, or use "
+                "another current"
             )
         elif now_ns - self.locked_ns >= plan.dwell_s * NS_PER_S and self.stage is Stage.LOCKED:
             self.state = SweepState.FINISHED
@@ -362,9 +368,10 @@ def _turn_from_quarter(turned: complex) -> float:
 
 
 def _detuning(turned: complex) -> float:
-    """Return tan φ', limited to ±`STEEPEST`: the detuning in units of the slope, positive if the resonance is above.
+    """Return tan φ', limited to ±`STEEPEST`; it is positive if the resonance is above the drive frequency.
 
-    `turned` is the complex amplitude of the superior base over that of the reference.
+    It is the detuning divided by the slope of the resonance. `turned` is the complex amplitude of the superior base
+    over that of the reference.
     """
     angle = _turn_from_quarter(turned)
     if abs(angle) >= math.atan(STEEPEST):
@@ -380,7 +387,8 @@ class LockedSine:
     Args:
         plan: range, speeds and limits of the search and of the lock.
         info: rows of `daq/info`, with the calibration and the scan rate.
-        accept_limit_s: rig time within which a command must be accepted, and the next scans must arrive.
+        accept_limit_s: rig time within which a command must be accepted, and after it the next scans must arrive;
+            otherwise the lock is aborted.
 
     Attributes:
         measured: number of samples so far.
@@ -425,7 +433,10 @@ class LockedSine:
         )
 
     def figures(self) -> dict[str, float]:
-        """Return the progress by key for the diagnostics of a node; the phase is NaN before the first sample."""
+        """Return the progress for the diagnostics of a node: samples, frequency, phase [°] and whether it is locked.
+
+        The phase is that of the newest sample, and NaN before the first one.
+        """
         phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
         locked = float(self._lock.locked)
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
@@ -437,8 +448,9 @@ class LockedSine:
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
         """Process a change of the drive that the rig has accepted at a rig time.
 
-        If it is the requested setpoint, the scans from this time on count. A different setpoint after that is one of
-        another client, and aborts the lock.
+        Once the requested setpoint is accepted, later scans count for the sample. A different setpoint after that must
+        come from another client, and aborts the lock. Before that, different setpoints are ignored, because frequency
+        and current are applied one after the other.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -450,19 +462,21 @@ class LockedSine:
                 self._since_ns = self._heard_ns = now_ns
             return None
         if self._since_ns is not None:
-            return self.abort(f"another client set {frequency_hz:g} Hz and {current_a:g} A")
+            return self.abort(
+                f"another client set {frequency_hz:g} Hz and {current_a:g} A; only one client may command the drive"
+            )
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Ignore a row of `transmissibility/table`: a lock uses scans, because it cannot wait until they settle."""
+        """Ignore a row of `transmissibility/table`: a lock cannot wait for settled measurements, and uses scans."""
         del row, now_ns
         return None
 
     def on_scans(self, table: Table) -> Setpoint | None:
         """Process a block of `daq/scan`; return the next setpoint if a sample is complete and the setpoint changes.
 
-        Only scans from the time on count at which the present setpoint was accepted. After missing scans, the sample
-        starts again.
+        Scans from before the present setpoint was accepted do not count. After missing scans, the collection of scans
+        for the sample starts again.
         """
         rows, step_ns = table.rows, NS_PER_S / self._rate_hz
         if self.state is not SweepState.RUNNING or self._since_ns is None or not len(rows):
@@ -485,7 +499,10 @@ class LockedSine:
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort the lock if a command is not accepted, or no scans arrive, in time."""
+        """Process the present rig time: abort the lock if no command was accepted, or no scans arrived, in time.
+
+        The limit for both is `accept_limit_s`.
+        """
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None
         if self._since_ns is None:
@@ -493,7 +510,9 @@ class LockedSine:
                 f"the rig did not accept {self._wanted.frequency_hz:g} Hz and {self._wanted.current_a:g} A within "
                 f"{self._limit_s:g} s of rig time (accept_limit_s)"
             )
-        return self.abort(f"no scans received for {self._limit_s:g} s of rig time (accept_limit_s)")
+        return self.abort(
+            f"no scans received for {self._limit_s:g} s of rig time (accept_limit_s); check that daq/scan is published"
+        )
 
     def abort(self, reason: str) -> Setpoint | None:
         """End a running lock as aborted because of an event outside of it, such as a trip of the rig.
@@ -517,7 +536,7 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:
-    """Return the configuration with blocks of 50 ms, so that a controller can react after each (`BLOCKS_PER_S`)."""
+    """Return the configuration with blocks of scans of 50 ms, so that a controller can react after each block."""
     return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})
 
 
@@ -551,9 +570,10 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Advance the rig by a rig time, and return the sample of the motion during it.
+        """Advance the rig by a number of seconds of rig time, and return the sample of the motion during them.
 
-        Without a sample it returns a text: the reason why the shaker is stopped, or that the time was too short.
+        If there is no sample, the reason is returned as text for the user: why the shaker is stopped, or that the time
+        was too short.
         """
         rig = self.rig
         rig.clear()
@@ -564,7 +584,7 @@ class LockLoop:
         sample = PhasorMeter(info).sample(rows, self._setpoint.frequency_hz, rig.now_ns)
         return sample or (
             f"{len(rows)} scans are too few for a sample at {self._setpoint.frequency_hz:g} Hz: at least {MIN_CYCLES} "
-            "cycles are needed"
+            "cycles are needed; raise sample_s and seek_s"
         )
 
 
@@ -572,7 +592,7 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
     """Continue a started lock on a rig, sample by sample, until it has ended or a condition is true.
 
     Args:
-        lock: the lock; it is aborted if the rig stops.
+        lock: the lock; it is aborted if the shaker is stopped or a sample has too few scans.
         loop: the rig.
         until: condition, checked before each sample.
     """
@@ -600,20 +620,20 @@ class Mean(NamedTuple):
 
     frequency_hz: float  # resonance frequency
     u_frequency_hz: float
-    """Standard uncertainty of frequency_hz: from scatter and correlation of the samples, and mean phase minus −90°."""
+    """Standard uncertainty of frequency_hz: from scatter and correlation of the samples, and the mean detuning."""
     dt: float  # transmissibility: amplitude of the superior base over that of the inferior base
     u_dt: float
-    """Standard uncertainty of dt: scatter of the samples, and the sensors' sensitivities.
+    """Standard uncertainty of dt: from the scatter of the samples, and from the sensors' sensitivities.
 
-    The latter are common to all measurements of a rig.
+    The errors of the sensitivities are the same in all measurements of a rig.
     """
 
 
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     """Return resonance frequency and transmissibility as means of the samples of a lock, with their uncertainties.
 
-    For a lock against the base, the resonance is (f/2) Re(X_b/X_1) above the frequency f of a sample, for any damping.
-    The mean of this distance counts as part of the uncertainty.
+    If the inferior base is the reference of the lock, the resonance is (f/2) Re(X_b/X_1) above the frequency f of a
+    sample, for any damping. The mean of this detuning is not corrected, but is a part of the uncertainty.
 
     Args:
         rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.
@@ -661,11 +681,14 @@ class AmplitudePoint:
     base_m: float  # mean amplitude of the inferior base, peak
     phase_deg: float  # mean phase of the superior base relative to the reference
     locked: bool  # whether the phase was locked in every sample; otherwise the values are means of a varying motion
-    jumped: bool  # whether the response differs from the previous point: DT jumped, or the lock appeared or was lost
+    jumped: bool  # whether DT changed from the previous point by more than `AmplitudeSweep.jump`, or `locked` changed
 
 
 def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
-    """Measure a backbone curve: lock the phase at each current, ascending then descending, and average.
+    """Measure a backbone curve: lock the phase at each current, first ascending then descending, and average.
+
+    The measurement ends early if the phase does not lock at the first current. A later point at which it does not lock
+    in time is measured as well, and marked as not locked.
 
     Args:
         sweep: currents, plan of the lock, and times.
@@ -699,7 +722,7 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
 def _pass(
     lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
-    """Continue a lock on a rig for some seconds of rig time, or until it has ended or a condition is true."""
+    """Continue a lock on a rig for some seconds of rig time, or less if it ends or a condition becomes true."""
     end_ns = loop.now_ns + round(seconds * NS_PER_S)
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 

@@ -93,7 +93,8 @@ class SweepPlan:
     retries: int = integer(
         2,
         "-",
-        "Number of failed measurements tolerated at each point; one more skips the point or aborts the sweep.",
+        "Number of failed measurements tolerated at each point; one more aborts the sweep, or skips the point if a "
+        "sensor was over range and skip_over_range is true.",
         at_least=0,
         at_most=1000,
     )

@@ -16,13 +16,13 @@
     idle ── start ──► running ── all points measured ──► finished
                          └── time limit, other command, failed measurement, stop ──► aborted
 
-It has no access to a rig. `operator` passes events of the rig to it (accepted commands, measurements, the time), and it
-answers with the next setpoint. The last setpoint of a sweep, finished or aborted, always sets the current to zero.
+The state machine has no access to a rig. `operator` passes events of the rig to it (accepted commands, measurements,
+the time), and it returns the next setpoint. The last setpoint of a sweep, finished or aborted, always has zero current.
 
-`ControlledSine` controls an amplitude: of the current, or of the inferior or superior base. At each point it measures
-the settled response, compares it with the target, corrects the current and measures again. A correction uses the slope
-of the last two measurements in logarithms; initially it is 1, which is exact for a linear rig. The amplitude is that of
-the instruments.
+`ControlledSine` controls a measured amplitude: that of the current, or of the inferior or superior base. At each point
+it compares the settled response with the target, corrects the current and measures again. A correction uses the slope
+d ln(amplitude) / d ln(current) of the last two measurements. The first correction assumes a slope of 1, which is exact
+for a linear rig.
 """
 
 from __future__ import annotations
@@ -53,13 +53,16 @@ class Setpoint:
 SAME = 1e-9  # relative difference up to which two frequencies or currents are equal
 
 PASSING = frozenset({Status.COMMAND_CHANGED, Status.LABEL_CHANGED, Status.CALIBRATION_CHANGED, Status.NO_FREQUENCY})
-"""Statuses of a measurement that only report that a change was applied; such a row is ignored."""
+"""Statuses of rows that do not count as failed measurements, and that a sweep ignores.
+
+They are due to a change of command, label or calibration, or to a drive frequency that is not known yet.
+"""
 
 
 def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Convert rows of a measurement to rows of `blocks.SWEEP`, the columns of a sweep's file and topic.
+    """Convert rows of a measurement to rows of `blocks.SWEEP`, which has the columns of a sweep's file and topic.
 
-    Columns that the rows lack are NaN, 0 or empty.
+    Missing columns are filled: NaN for floating-point numbers, 0 or empty for others and for `waited`.
 
     Args:
         rows: structured array with some of these columns, shape (n,).
@@ -155,8 +158,9 @@ class SteppedSine:
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
         """Process a change of the drive that the rig has accepted at a rig time.
 
-        If it is the requested setpoint, the wait for a measurement begins. A different setpoint after that is one of
-        another client, and aborts the sweep.
+        Once the requested setpoint is accepted, the wait for a measurement begins. A different setpoint after that must
+        come from another client, and aborts the sweep. Before that, different setpoints are ignored, because frequency
+        and current are applied one after the other.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -167,15 +171,18 @@ class SteppedSine:
                 self._accepted, self._since_ns = True, now_ns
             return None
         if self._accepted:
-            return self._abort(f"another client set {frequency_hz:g} Hz and {current_a:g} A")
+            return self._abort(
+                f"another client set {frequency_hz:g} Hz and {current_a:g} A; only one client may command the drive"
+            )
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Process a row of `transmissibility/table`; return the next setpoint if the point is complete.
 
         A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status
-        `not_settled`. More failed ones than `retries` abort the sweep, or skip the point. Rows at another frequency are
-        ignored.
+        `not_settled`. Any other is a failed one, and more of these than the plan's `retries` abort the sweep. With the
+        plan's `skip_over_range`, they skip the point instead if the last status is `over_range`. Rows at another
+        frequency, and those that only report a change (`PASSING`), are ignored.
         """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
@@ -202,8 +209,8 @@ class SteppedSine:
             self.skipped.append(self.frequency_hz)
             return self._next(now_ns)
         return self._abort(
-            f"the measurement at {self.frequency_hz:g} Hz failed {self._failures} times, the last one with status "
-            f"{status.value}"
+            f"the measurement at {self.frequency_hz:g} Hz failed {self._failures} times, more than retries allows "
+            f"({self._plan.retries}), the last one with status {status.value}: {status.doc}"
         )
 
     def on_scans(self, table: Table) -> Setpoint | None:
@@ -212,7 +219,7 @@ class SteppedSine:
         return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort if a command is not accepted, or a point not measured, in time."""
+        """Process the present rig time: abort if a command was not accepted, or a point not measured, in time."""
         if self.state is not SweepState.RUNNING:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
@@ -224,7 +231,7 @@ class SteppedSine:
         if waited > self._plan.dwell_limit_s:
             return self._abort(
                 f"{self.frequency_hz:g} Hz was not measured within {self._plan.dwell_limit_s:g} s of rig time "
-                "(dwell_limit_s)"
+                "(dwell_limit_s); raise this limit if the response needs longer to settle"
             )
         return None
 
@@ -288,7 +295,9 @@ SLOPES = (0.3, 3.0)  # range of d ln amplitude / d ln current that a correction 
 
 
 class ControlledSine(SteppedSine):
-    """State machine of a stepped sine whose current is corrected until a measured amplitude is that of a target.
+    """State machine of a stepped sine whose current is corrected until a measured amplitude is near its target.
+
+    At each point, the amplitude is accepted within the tolerance of `hold`, or after its maximum number of corrections.
 
     Args:
         plan: points and limits of the sweep; its current is the initial value at the first point.
@@ -307,7 +316,11 @@ class ControlledSine(SteppedSine):
 
     @property
     def controlled(self) -> NDArray[np.void]:
-        """Accepted measurements so far as rows of `blocks.SWEEP`, with target, relative error and corrections."""
+        """Accepted measurements so far as rows of `blocks.SWEEP`, with the columns of the control.
+
+        These are the target, the relative error of the amplitude, whether it is within the tolerance (`held`), and the
+        number of corrections of the current at the point.
+        """
         rows = self.rows
         found = sweep_rows(rows)
         found["target"], found["corrections"] = self._hold.target, self._tries[: len(rows)]
@@ -327,7 +340,10 @@ class ControlledSine(SteppedSine):
         self._before: tuple[float, float] | None = None  # logarithms of current and amplitude at this point
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Process a row of `transmissibility/table` like `SteppedSine`; rows before the last correction are ignored."""
+        """Process a row of `transmissibility/table` like `SteppedSine.on_measurement`.
+
+        Rows from before the present command was accepted are ignored: they belong to an earlier current.
+        """
         if self._accepted and now_ns >= self._since_ns:
             return super().on_measurement(row, now_ns)
         return None
@@ -337,7 +353,7 @@ class ControlledSine(SteppedSine):
         if superior > self._hold.superior_limit_m:
             return self._abort(
                 f"the superior base swings {superior * 1e3:.3g} mm at {self.frequency_hz:g} Hz, more than the limit of "
-                f"{self._hold.superior_limit_m * 1e3:g} mm (superior_limit_m)"
+                f"{self._hold.superior_limit_m * 1e3:g} mm (superior_limit_m); lower the target or raise the limit"
             )
         close = abs(reached / self._hold.target - 1.0) <= self._hold.tolerance
         if close or self._taken or self._corrected >= self._hold.corrections or not reached > 0.0:
@@ -348,7 +364,7 @@ class ControlledSine(SteppedSine):
             limit = self._hold.current_limit_a
             return self._abort(
                 f"the target amplitude at {self.frequency_hz:g} Hz needs {wanted:.3g} A peak, more than the limit of "
-                f"{limit:g} A (current_limit_a)"
+                f"{limit:g} A (current_limit_a); lower the target or raise the limit"
             )
         self._current_a = wanted
         self._corrected += 1

@@ -62,16 +62,16 @@ def build_report(
     Args:
         directory: directory of the campaign or of the run; an MCAP file is a run.
         output: directory of `report.html` and `report.json`; None means that of the results.
-        margins: directory of a campaign with varied constants, for the table of the statements' sensitivity.
+        margins: directory of a campaign with varied constants, for the table of the statements' sensitivity to these.
         branches: directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements.
-        figures: directory of the figures; None means `figures` in that of the page.
+        figures: directory of the figures; None means the folder `figures` next to the page.
         formats: formats of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
         rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
         ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
             another rig; or margins or branches are given for a run or an imported campaign.
-        RecordingError: there are no measurements yet, or the page cannot be written.
+        RecordingError: there are no measurements yet, a run cannot be read or analysed, or a file cannot be written.
     """
     folder = directory if directory.is_dir() else directory.parent
     target = (output or folder) / PAGE_FILE
@@ -99,7 +99,10 @@ def build_report(
         return write(data.title, html)
     varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
     if margins and not varied:
-        raise ConfigError(f"{margins} holds no campaign that varies constants: see config/campaigns/margins.yaml")
+        raise ConfigError(
+            f"{margins} holds no campaign that varies constants: give --margins the directory of a campaign such as "
+            "config/campaigns/margins.yaml"
+        )
     with style():
         opening = list(cover.opening(done, content))
         drawn = [
@@ -119,12 +122,13 @@ def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequenc
     """
     if margins or branches:
         raise ConfigError(
-            f"--margins and --branches need a simulated campaign, but {directory} is a run or an imported campaign"
+            f"--margins and --branches need a simulated campaign, but {directory} is a run or an imported campaign; "
+            "leave them out"
         )
 
 
 def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:
-    """Write the page to `target`, its numbers next to it, and its figures into `folder`; return `target`.
+    """Write the page `html` to `target`, its numbers next to it, and its figures into `folder`; return `target`.
 
     Raises:
         RecordingError: a file cannot be written.

@@ -38,11 +38,11 @@ LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is 
 
 @attrs.frozen
 class Cell:
-    """Cell of a table in a report: its text, and the number or numbers that it shows, None for a text."""
+    """Cell of a table in a report that shows a number: its text for the page, and the number for `report.json`."""
 
     text: str
     value: float | Sequence[float] | None
-    """Numbers that the cell shows, in the displayed unit: a value and, if known, the expanded uncertainty of it."""
+    """Number in the displayed unit, or a value and its expanded uncertainty; None if there is no number."""
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
@@ -90,14 +90,17 @@ class Content:
         self._tables: dict[str, object] = {}
 
     def fact(self, name: str, value: float | str, spec: str = "") -> str:
-        """Store a number or text that the prose of the page shows under a name, and return it formatted by `spec`."""
+        """Store under `name` a number or text that a sentence of the page shows; return it formatted by `spec`."""
         self._facts[name] = value
         return format(value, spec)
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
     ) -> Markup:
-        """Return a table as HTML for the page, and store its cells under a name; `numeric` ones are right-aligned."""
+        """Return a table as HTML for the page, and store its cells under `name`.
+
+        Columns whose indices are in `numeric` are right-aligned.
+        """
         kept = [list(row) for row in rows]
         self._tables[name] = {
             "columns": list(headings),
@@ -107,7 +110,7 @@ class Content:
         return page.table(headings, texts, numeric)
 
     def figures(self, found: Iterable[Drawn], *, large: bool = False) -> Markup:
-        """Return figures as HTML for the page, and store them for saving; `large` shows them larger."""
+        """Return figures as HTML for the page, larger ones if `large`, and store them so that they can be saved."""
         new = list(found)
         self.drawn += new
         return page.figures(new, large=large)

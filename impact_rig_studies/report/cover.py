@@ -44,7 +44,7 @@ DIGITS = 12  # number of characters of a digest
 
 
 def opening(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the beginning of a campaign's report as HTML: title, origin of the results, and key figures."""
+    """Yield the beginning of a campaign's report as HTML: title, origin of the results, key figures, explanation."""
     yield title(done.campaign.title)
     yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
     yield cover(_entries(done, content))
@@ -193,7 +193,7 @@ def _with_unit(value: float, unit: str) -> Cell:
 
 
 def _short(value: float) -> str:
-    """Return a number with three significant digits as text, without an exponent if possible."""
+    """Return a number with three significant digits as text; very large and very small ones have an exponent."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -204,7 +204,7 @@ SYMBOL = 9.5  # type size of symbols
 
 
 def set_up() -> Drawn:
-    """Draw the rig as described in the paper; call this within `drawing.style`."""
+    """Draw a diagram of the rig with its symbols and instruments; call this within `drawing.style`."""
     figure, (axis,) = new_axes(WIDTH_INCH * HEIGHT / WIDTH)
     axis.set(xlim=(0.0, WIDTH), ylim=(0.0, HEIGHT), aspect="equal")
     axis.axis("off")

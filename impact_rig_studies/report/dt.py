@@ -82,9 +82,10 @@ def draw_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT and phase of all gaps over the frequency, with predictions: the complete range, and near resonance.
+    """Draw DT and phase of all gaps over the frequency, with predictions, as two figures.
 
-    All measurements at the paper's current are drawn.
+    They show the complete range of the paper's frequencies, and the range near resonance. All measurements at the
+    paper's current are drawn. There are no figures if fewer than two cases (a gap, or no sphere) were measured.
     """
     cases = [gap for gap in (NO_SPHERE, *REDUCTION_PERCENT) if curve(curves, gap)]
     if len(cases) < 2:
@@ -161,7 +162,7 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
 
 
 def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return phases [°] for drawing: a lead of almost half a turn becomes a lag of slightly more."""
+    """Return phases in degrees for drawing, from -270 to 90: a lead of more than 90 is shown as a lag."""
     degrees = np.degrees(phase_rad)
     return np.where(degrees > 90.0, degrees - 360.0, degrees)
 
@@ -316,9 +317,9 @@ def curve(curves: Curves, gap_m: float) -> list[Point]:
 
 
 def papers_dt(curves: Curves, gap_m: float) -> float | None:
-    """Return the DT at 9.1 Hz that the paper's reduction for a gap gives, relative to the measured DT without sphere.
+    """Return the DT at 9.1 Hz that the paper's reduction for a gap predicts from the measured DT without sphere.
 
-    None without such a measurement.
+    It is None if DT without sphere was not measured at 9.1 Hz.
     """
     without = curves.at(NO_SPHERE, FREQUENCY_HZ)
     return None if without is None else without.dt * (1.0 - REDUCTION_PERCENT[gap_m] / 100.0)
@@ -390,7 +391,10 @@ def draw_peaks(curves: Curves) -> Iterator[Drawn]:
 
 
 def damper_effects(curves: Curves, calibration: Calibration) -> dict[float, dict[float, Damper]]:
-    """Return the sphere's added mass and loss factor by gap and frequency, if DT was measured with and without it."""
+    """Return the sphere's added mass and loss factor by gap [m] and frequency [Hz].
+
+    Frequencies without a measurement of DT both with this gap and without the sphere are missing.
+    """
     found: dict[float, dict[float, Damper]] = {}
     for gap in curves.gaps():
         for frequency, point in sorted(curves.by_gap[gap].items()):
@@ -505,7 +509,7 @@ def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     """Draw the motion of superior base and sphere over a few cycles, with the accelerometer's signal.
 
     Args:
-        trace: scans and true motion of the end of a job, by column.
+        trace: columns by name: scans, and true motion of the simulated rig, at the end of the measurement of a point.
         gap_m: gap [m].
         frequency_hz: drive frequency.
     """

@@ -11,7 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Presentation of the results of a test of `impact-rig drive` with samples: data, sentences, and a page of drawings."""
+"""Presentation of the results of a test of `impact-rig drive` that plays samples: data, sentences, page of drawings.
+
+Such tests are random vibration, replicated and played histories, shocks and frequency responses.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,11 @@ class ResultSummary:
 
 
 def tell(found: object, unit: str = "") -> ResultSummary:
-    """Summarise the latest result of a test with samples, such as `Reached` or `Frf`, whose response is in `unit`."""
+    """Summarise the latest result of a test that plays samples, such as `Reached` or `Frf`.
+
+    If a key figure cannot be computed, the summary says so in `missing` instead of its sentences. `unit` is that of the
+    response, or of the frequency response.
+    """
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]
     if lacking and not summary.missing:
@@ -66,7 +73,10 @@ def tell(found: object, unit: str = "") -> ResultSummary:
 
 
 def _is_known(value: object) -> bool:
-    """Return whether a key figure is finite; for a mapping, whether all its figures are. Arrays may contain NaN."""
+    """Return whether a key figure is finite; for a mapping, whether all its figures are.
+
+    Anything that is not a number, such as an array, counts as known.
+    """
     if isinstance(value, Mapping):
         return all(_is_known(one) for one in value.values())
     return not isinstance(value, float) or math.isfinite(value)
@@ -200,7 +210,7 @@ def _replicated(found: Replicated, unit: str) -> ResultSummary:
 
 
 def _repetition(found: Replicated) -> str:
-    """Return how a repetition of the best drive turned out, as sentences after another one; empty if there was none."""
+    """Return sentences about the repetition of the best drive, to be appended to others; empty if there was none."""
     if found.repeated is None:
         return ""
     text = f" A repetition of its drive has an error of {100 * found.repeated:.2f} %."
@@ -252,9 +262,9 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 
 
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
-    """Return an error of a shock as text, with the size that noise of the sensors alone causes.
+    """Return an error of a shock as text, with the noise floor: the error that the sensors' noise alone causes.
 
-    `name` is an attribute of `found`; its value is shown times `factor`, in `unit`.
+    `name` is the attribute of `found` with the error. Both values are multiplied by `factor` and shown in `unit`.
     """
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:

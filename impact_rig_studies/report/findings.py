@@ -72,7 +72,8 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the table of the sphere's added mass and loss factor by gap, as HTML.
 
-    They follow from DT with and without the sphere, at the frequency for which the most gaps were measured.
+    Both follow from DT with and without the sphere, at the frequency with measurements of the most gaps. Nothing is
+    yielded if DT was not measured with and without the sphere at the same frequency.
     """
     found = damper_effects(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]
@@ -93,7 +94,7 @@ def damper(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def statements(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the paper's statements with verdict, strength of the evidence and margin, as HTML."""
+    """Yield the paper's statements with verdict, kind of evidence and margin, as HTML; nothing if none was judged."""
     verdicts = done.verdicts()
     if all(verdict.result is None for verdict in verdicts):
         return
@@ -115,7 +116,10 @@ def statements(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the uncertainty budget of one DT, for the gap of 6 mm or else without sphere at 9.1 Hz, as HTML."""
+    """Yield the uncertainty budget of one DT at 9.1 Hz as HTML: that with a gap of 6 mm, or else that without sphere.
+
+    Nothing is yielded if neither was measured.
+    """
     chosen: Point | None = None
     for gap in (BUDGETED_GAP_M, NO_SPHERE):
         chosen = chosen or done.curves.at(gap, FREQUENCY_HZ)
@@ -171,9 +175,10 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
 
 
 def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
-    """Yield a table of the statements' deciding values on rigs that differ in one constant, as HTML.
+    """Yield a table that shows how the paper's statements turn out on rigs that differ in one constant, as HTML.
 
-    `varied` contains the verdicts for these rigs; without any, nothing is yielded.
+    Its cells contain the value that decides a statement, and the verdict. `varied` contains the verdicts for these
+    rigs; without any, nothing is yielded.
     """
     if not varied:
         return

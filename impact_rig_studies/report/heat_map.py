@@ -68,11 +68,10 @@ def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
 
 
 def classes(values: dict[str, NDArray[np.generic]]) -> NDArray[np.int64]:
-    """Return the class of motion at each point of a map, as a number: `QUIET` … `CHAOTIC`, or `NONE`.
+    """Return the class of motion at each point of a map, as one of the numbers `QUIET` to `CHAOTIC`, or `NONE`.
 
-    `NONE` means that the point is not measured yet, or that its motion could not be simulated.
-
-    `values` are the results of the map by name, all of one shape.
+    `NONE` means that the point is not measured yet, or that its motion could not be simulated. `values` contains the
+    arrays of the map's results by name of the field of `Reading`, all with the shape of the result.
     """
     regime, impacts = values["regime"], np.asarray(values["impacts_per_cycle"], float)
     period = np.asarray(values["period"], float)
@@ -94,7 +93,18 @@ def _drawn(
     unit: str,
     page: float | None,
 ) -> Drawn:
-    """Draw the values `z`, shown in `unit`, over the first two axes; without `groups` they are signed differences."""
+    """Draw the values `z`, with `unit` as label, over the first two axes of a map.
+
+    Args:
+        plan: plan of the map, which defines its axes.
+        name: name of the figure.
+        title: title of the figure.
+        z: values, shape (n, m).
+        groups: class of motion at each point, shown in a second picture. None means that `z` contains signed
+            differences, which are shown alone, in colours about zero.
+        unit: label of the values, with their unit.
+        page: value of the third axis, or None without one.
+    """
     (x_name, x), (y_name, y) = list(plan.axes.items())[:2]
     (x_label, x_factor), (y_label, y_factor) = label_of(x_name), label_of(y_name)
     x_edges, y_edges = _edges(np.asarray(x) * x_factor), _edges(np.asarray(y) * y_factor)

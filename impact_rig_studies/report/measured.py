@@ -271,7 +271,10 @@ def transmissibility(rows: NDArray[np.void]) -> Drawn:
 
 
 def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
-    """Yield a table of the reductions of DT against the measurement without sphere at the same frequency, as HTML."""
+    """Yield a table of the reductions of DT relative to the measurement without sphere at the same frequency, as HTML.
+
+    Measurements without such a counterpart are left out; nothing is yielded if none remain.
+    """
     without = {float(row["frequency"]): row[None] for row in rows if row["gap"] == NO_SPHERE}
     cells: list[list[str | Cell]] = []
     for row in rows:
@@ -293,7 +296,7 @@ def _reductions(rows: NDArray[np.void], calibration: Calibration, content: Conte
 def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Content) -> Iterator[Markup]:
     """Yield the uncertainty of one DT as HTML: result, coverage factor, degrees of freedom, conditions and budget.
 
-    `row` has the shape (1,), or (0,) if nothing settled.
+    `row` is the measurement, shape (1,), or an empty array if no measurement settled; then nothing is yielded.
     """
     if not len(row):
         return
@@ -324,7 +327,8 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
     """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
 
-    The latter are infinite without a part of type A.
+    The effective ones are infinite if there is no part of type A. `found` is the uncertainty budget, and `row` the
+    measurement of `transmissibility/table` to which it belongs.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """
@@ -336,7 +340,10 @@ def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
 
 
 def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
-    """Draw the time traces and the spectrum of the last settled measurement of a run; `found` is its analysis."""
+    """Yield drawings of the time traces and of the spectrum in the last settled measurement of a run.
+
+    `found` contains the findings of the analysis of the run.
+    """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)
     units = channel_units(run)

@@ -57,7 +57,8 @@ def study_figures(
 ) -> Iterator[Drawn]:
     """Yield the figure of a study; nothing if no axis has three values, or it would have too many lines.
 
-    Reductions are relative to the reference rig, so a study of several sets of instruments shows DT itself.
+    It shows the reduction of DT relative to the reference rig without the sphere. It shows DT itself if it is drawn
+    over the frequency, if the study has several sets of instruments, or if a reference value was not measured.
 
     Args:
         study: name of the study.
@@ -126,7 +127,10 @@ def study_figures(
 
 
 def _place(point: Point) -> dict[str, float | str]:
-    """Return the value of each axis at a point, by name of the axis, with numbers as floats."""
+    """Return the value of each axis at a point, by name of the axis: numbers as floats, all else as texts.
+
+    The axes are frequency, gap, current and direction of every point, and those that the study varies.
+    """
     place: dict[str, float | str] = {
         "frequency_hz": point.frequency_hz,
         "gap_m": point.gap_m,
@@ -148,7 +152,10 @@ def _word(name: str, value: float | str) -> str:
 
 
 def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
-    """Return the reduction of DT at a point against no sphere in percent, and its standard uncertainty in points."""
+    """Return the reduction of DT at a point relative to DT without sphere, and its standard uncertainty.
+
+    The reduction is in percent, its uncertainty in percentage points.
+    """
     without = curves.at(NO_SPHERE, point.frequency_hz)
     assert without is not None
     found = reduction(without.rows, point.rows, calibration)
@@ -173,12 +180,15 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
     for key in ours:
         if ours[key] != theirs[key] and key not in others and not key.startswith(OF_INSTRUMENTS):
             raise ConfigError(
-                f"the branches belong to another rig: its {key} is {theirs[key]}, but {ours[key]} in the campaign"
+                f"the branches belong to another rig: its {key} is {theirs[key]}, but {ours[key]} in the campaign; "
+                "compute them with the configuration of the campaign"
             )
     task = plan.tasks[0]
     held = {"frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m}
     if plan.over not in held:
-        raise ConfigError(f"branches over {plan.over} cannot be shown in a report, only over {', '.join(held)}")
+        raise ConfigError(
+            f"branches over {plan.over} cannot be shown in a report, only branches over {', '.join(held)}"
+        )
     del held[plan.over]
     at = [
         p
@@ -225,7 +235,8 @@ def predicted(
 ) -> Sequence[Stretch]:
     """Return the predicted DT and phase over the frequency for a gap at constant current, as continuous parts.
 
-    Without sphere it is the closed form, else the stable motions with two impacts per cycle; empty if neither applies.
+    Without sphere the prediction is the closed form of the linear rig. With it, the prediction is that of stable
+    motions with two impacts per cycle, and the result is empty if there are none or the theory does not apply.
 
     Args:
         config: configuration of the rig, whose own gap is ignored.

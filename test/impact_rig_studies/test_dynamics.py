@@ -934,7 +934,7 @@ def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys
         ("exponent", "exponent: {over: current_a, values: [0.5, -0.5]}", r"exponent.values\[1\] must be > 0"),
         ("basin", "basin: {sphere_position_m: [0.5], sphere_speed_m_s: [0, 1]}", r"basin.sphere_position_m\[0\]"),
         ("exponent", "exponent: {over: gap_m, values: [0.02], windows: 1}", "exponent.windows must be"),
-        ("exponent", "set: {daq.seed: 1}\nexponent: {}", "irrelevant to"),
+        ("exponent", "set: {daq.seed: 1}\nexponent: {}", "has no effect on"),
         ("orbit", "orbit: [", "not a YAML file"),
     ],
 )

@@ -183,7 +183,7 @@ def test_each_start_of_the_sphere_is_measured_separately(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (COEXISTENCE + "direction: up\n", "sphere_position_m is a start condition: direction must be reset"),
+        (COEXISTENCE + "direction: up\n", "sphere_position_m sets how each point starts: direction must then be reset"),
         (COEXISTENCE + "starts: [left]\n", "exclude each other"),
         (
             COEXISTENCE.replace("0.007", "0.016"),
@@ -400,7 +400,7 @@ SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], 
         ("axes: {gap_m: [0.01, 0.02]}", "axes must be two or three"),
         ("axes: {gap_m: [0.01, 0.02], speed: [1, 2]}", "unknown axis 'speed'"),
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}\nfrequency_hz: 9", "is an axis"),
-        ("axes: {gap_m: [0.01, 0.02], daq.seed: [1, 2]}", "irrelevant to a map"),
+        ("axes: {gap_m: [0.01, 0.02], daq.seed: [1, 2]}", "has no effect on a map"),
         ("axes: {gap_m: [0.01, 0.02], contact.restitution: [0.1, 3]}", "restitution"),
         ("axes: {barriers.gap_m: [0.01, 0.02], frequency_hz: [9, 9.1]}", "use gap_m"),
         ("axes: {gap_m: [0.01, 0.02], frequency_hz: [-9, 9.1]}", "must be > 0"),

@@ -112,7 +112,7 @@ def test_a_rejected_point_is_an_error_that_keeps_earlier_points():
 def test_a_point_that_is_never_measured_is_given_up():
     sweep, script = SteppedSine(PLAN), Script(repeats=0)
     operate(sweep, script)
-    assert sweep.reason == f"8 Hz was not measured within {PLAN.dwell_limit_s:g} s of rig time (dwell_limit_s)"
+    assert sweep.reason.startswith(f"8 Hz was not measured within {PLAN.dwell_limit_s:g} s of rig time (dwell_limit_s)")
     assert script.seconds == PLAN.dwell_limit_s + 1
 
 
