@@ -28,6 +28,7 @@ import impact_rig
 from impact_rig.cli.interface import DOCUMENT
 from impact_rig.config.fields import Origin
 from impact_rig.graph import NODES
+from impact_rig.physics import linear_response
 from impact_rig.physics.linear import sphere_mass_kg
 from impact_rig.physics.model import CONTACT_RTOL
 from impact_rig.rig.config import RigConfig
@@ -120,7 +121,7 @@ def nodes() -> str:
     document = json.loads(DOCUMENT.read_text(encoding="utf-8"))
     standard = re.compile(r"(std|sensor|geometry|diagnostic|rosgraph)_msgs/msg/")
     assert all(standard.match(topic["type"]) for topic in document["topics"].values())
-    return f"The rig is {WORDS[len(NODES)]} lifecycle nodes with standard messages"
+    return f"{WORDS[len(NODES)].capitalize()} lifecycle nodes use standard messages only"
 
 
 def contact_tolerance() -> str:
@@ -144,6 +145,12 @@ def at_6_mm() -> str:
 
 def uncertainty_at_6_mm() -> str:
     return f"± {2.0 * transmissibility(0.006)[1]:.2f}"
+
+
+def difference_from_the_closed_form() -> str:
+    dt, u = transmissibility(0.0)
+    assert abs(dt - abs(complex(linear_response.transmissibility(RigConfig(), FREQUENCY_HZ)))) < 2.0 * u
+    return f"{100.0 * 2.0 * u / dt:.1f} % (2u)"
 
 
 def at_10_mm() -> str:
