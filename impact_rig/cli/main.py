@@ -140,7 +140,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         from impact_rig.names import visible  # noqa: PLC0415
 
         if first in MOVED:
-            parser.error(f"{first!r} is now `{PROGRAM} {MOVED[first]}`")
+            parser.error(f"{first!r} is now `{PROGRAM} {MOVED[first]}`: use that command")
         hint = did_you_mean(first, known, f"did you mean `{PROGRAM} {{}}`?", f"the commands are {', '.join(known)}")
         parser.error(visible(f"{first!r} is not a command: {hint}"))
     return parser.parse_args(arguments)

@@ -146,7 +146,9 @@ def add_analyze(commands: Commands) -> None:
         "that the result is not valid.",
     )
     add_json(parser)
-    parser.add_argument("--all", action="store_true", help="also print rows that have no value of DT, with the reason")
+    parser.add_argument(
+        "--all", action="store_true", help="also print measurements without a value of DT, with their status"
+    )
     add_run(parser)
     instead = parser.add_argument_group("analyses instead of the usual one").add_mutually_exclusive_group()
     for analysis in analyses():
@@ -253,7 +255,7 @@ def add_replay(commands: Commands) -> None:
         metavar="TOPIC",
         help="topics to publish, with or without namespace; with --peers, daq/scan must be one of them (default: all)",
     )
-    parser.add_argument("--loop", action="store_true", help="restart at the end, until Ctrl-C")
+    parser.add_argument("--loop", action="store_true", help="replay the run again and again, until Ctrl-C")
     parser.add_argument(
         "--paused", action="store_true", help="start paused, until the service /player/pause is called with data: false"
     )

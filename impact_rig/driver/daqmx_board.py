@@ -230,7 +230,8 @@ class DaqmxTask:
         """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
 
         NI-DAQmx makes the buffer of an output as large as the samples written before the start. It makes the buffer of
-        a finite input as large as its number of samples; that of a continuous input depends on the rate.
+        a finite input as large as its number of samples. The buffer of a continuous input depends on the rate and has
+        room for at least `clock_samples`.
         """
         if self.buffer_samples is not None:
             return self.buffer_samples
@@ -382,7 +383,9 @@ class Board:
         found = self.physical_channels(physical, kind)
         for number, (device, channel) in enumerate(found):
             if any(one.physical == channel for one in task.channels):
-                raise DaqmxError(Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already")
+                raise DaqmxError(
+                    Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already: add it once only"
+                )
             named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
             task.channels.append(BoardChannel(named, channel, device, *limits, per_volt, unit))
         task.kind = kind
@@ -559,9 +562,11 @@ class Board:
                 were overwritten, or will never arrive because a finite task has fewer left.
         """
         if task.kind != "ai":
-            raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels")
+            raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels to read: add some first")
         if count > most:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {most} samples per channel at once, got {count}")
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE, f"one call can read at most {most} samples per channel, not {count}"
+            )
         if task.acquisition is None:
             if not task.auto_starts:
                 raise DaqmxError(
@@ -602,6 +607,9 @@ class Board:
     ) -> int:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
+        Before the start, samples are added to the buffer. While the task runs, they replace older samples in a buffer
+        that the output repeats; otherwise they follow the samples that are still to be played.
+
         Args:
             task: the task.
             values: samples [V], shape (n,). Without a sample clock, the output takes the last of them and keeps it.
@@ -610,11 +618,13 @@ class Board:
             auto_start: whether to start the task if it is not running.
 
         Raises:
-            DaqmxError: the task has no output, is not running or has failed, a sample is out of range, or the buffer
+            DaqmxError: the task has no output, cannot be started or has failed, a sample is out of range, or the buffer
                 had no space in time.
         """
         if task.kind != "ao":
-            raise DaqmxError(Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channels")
+            raise DaqmxError(
+                Code.WRITE_NO_OUTPUT_CHANS_IN_TASK, "the task has no output channel to write to: add ao0 first"
+            )
         task.raise_error()
         low, high = max(task.channels[0].low, -OUTPUT_RANGE_V), min(task.channels[0].high, OUTPUT_RANGE_V)
         beyond = values[~((values >= low) & (values <= high))]
@@ -623,7 +633,9 @@ class Board:
                 Code.INVALID_AO_DATA_WRITE, f"samples must be from {low:g} to {high:g} V, got {beyond[0]:g} V"
             )
         if len(values) > MOST_SAMPLES:
-            raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, f"at most {MOST_SAMPLES} samples at once, got {len(values)}")
+            raise DaqmxError(
+                Code.INVALID_ATTRIBUTE_VALUE, f"one call can write at most {MOST_SAMPLES} samples, not {len(values)}"
+            )
         on_demand = task.rate_hz == 0
         if on_demand:
             if not (auto_start or task.is_active):
@@ -761,7 +773,8 @@ class Board:
             self._end(task, State.DONE)
         elif output.buffered == 0 and not task.regenerates and output.next_sample is not None:
             lost = rig.stream_level().sample - output.next_sample
-            raise UnderrunError(f"the output ran out of samples after {task.passed}: write samples earlier", lost)
+            why = f"the output ran out of samples after {task.passed} of them: write earlier, or allow regeneration"
+            raise UnderrunError(why, lost)
 
     def _fail(self, task: DaqmxTask, code: Code, message: str) -> None:
         task.error = DaqmxError(code, message)
@@ -776,7 +789,11 @@ class Board:
         task.state = state
 
     def _trigger(self, rig: RigDriver, tasks: list[DaqmxTask]) -> None:
-        """Start tasks at the same instant: the first sample of an output or, without one, the next block of scans."""
+        """Start tasks at the same instant.
+
+        Inputs begin with the scan at the first sample of the output or, without an output, with the next block of
+        scans.
+        """
         scan = None
         for task in tasks:
             if task.output is not None:
@@ -806,7 +823,8 @@ class Board:
             raise DaqmxError(
                 Code.INVALID_ATTRIBUTE_VALUE,
                 f"SampClk.Rate: a running task keeps input and output at {self._rig.rate_hz} and "
-                f"{self._rig.stream_rate_hz} Hz, so they cannot run at {wanted[0]} and {wanted[1]} Hz: stop it first",
+                f"{self._rig.stream_rate_hz} Hz, so they cannot run at {wanted[0]} and {wanted[1]} Hz: stop that task "
+                "first",
             )
         self._config = config
         self._rig, self._epoch = LocalRig(config), time.monotonic()
@@ -862,5 +880,5 @@ class Board:
             raise DaqmxError(
                 Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
                 f"{wanted} samples requested, but only {task.samples - task.passed} of the {task.samples} of this "
-                "finite task are left",
+                "finite task are left: request at most these",
             )

@@ -281,7 +281,7 @@ class Service:
     def _write(self, request: Any, context: Any, samples: Sequence[float], count: int) -> dict[str, Any]:
         values = np.array(samples, np.float64)
         if len(values) == 0 or len(values) != count:
-            wrong = f"{len(values)} values to write, but the request states {count} samples per channel (at least 1)"
+            wrong = f"the request has {len(values)} values and states {count} per channel: both must be equal and > 0"
             raise DaqmxError(Code.INVALID_ATTRIBUTE_VALUE, wrong)
         written = self.board.write(
             self._task(request), values, request.timeout, context.is_active, auto_start=request.auto_start
@@ -297,7 +297,7 @@ class Service:
     # Events
 
     def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield a response each time that a task has acquired or played the requested number of further samples."""
+        """Yield a response for every `n_samples` samples acquired by an input, or passed to the rig by an output."""
 
         def check(task: DaqmxTask) -> None:
             self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
@@ -572,7 +572,7 @@ def _reason(address: str) -> str:
             probe.bind(where)
     except OSError as error:
         return str(error.strerror)
-    return "gRPC does not accept this address"
+    return "gRPC does not accept this address; use HOST:PORT with a name or IP address of this machine"
 
 
 @contextlib.contextmanager

@@ -169,7 +169,9 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
-        """Write everything that is kept as an MCAP run into a new directory, and return that directory.
+        """Write an MCAP run of this rig into a new directory, and return that directory.
+
+        A `LocalRig` writes what it keeps, a `RosRig` copies what its recorder has written.
 
         Raises:
             RecordingError: the run cannot be written.
@@ -191,7 +193,7 @@ class RigDriver(abc.ABC):
         """Add an instrument fault, which starts at its `start_sample`, and return the number of the fault.
 
         Raises:
-            CommandError: the kind or channel is unknown, or the sample has been measured already.
+            ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
         """
 
     @abc.abstractmethod
@@ -320,8 +322,8 @@ class RigDriver(abc.ABC):
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
             raise ConfigError(
-                f"cannot run to sample {sample}: {self.name} is at {self.sample}, and advances by whole blocks of "
-                f"{self.block_scans} samples"
+                f"cannot run to sample {sample}: {self.name} is at sample {self.sample}, from which it advances by "
+                f"multiples of {self.block_scans} samples (whole blocks)"
             )
         if blocks:
             self.step(blocks)
@@ -388,7 +390,8 @@ class RigDriver(abc.ABC):
         acts_on = self._command(frequency_hz, current_a)
         if acts_on != at_sample:
             raise CommandError(
-                f"the command acts on sample {acts_on}, not on {at_sample}: {self.name} was past it when it arrived"
+                f"the command acts on sample {acts_on}, not on {at_sample}: when it arrived, {self.name} was already "
+                "past that sample"
             )
         return acts_on
 
@@ -404,7 +407,7 @@ class RigDriver(abc.ABC):
         if topic not in kept:
             names = ", ".join(sorted(kept))
             raise ConfigError(
-                f"topic {topic!r} is not kept, only {names}; the argument `also` of a rig names further topics"
+                f"topic {topic!r} is not kept, only {names}; name it in the argument `also` of the rig to keep it, too"
             )
         return kept[topic]
 

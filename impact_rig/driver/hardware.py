@@ -346,7 +346,8 @@ class Hardware:
     """Analog output and acquisition of one rig, for a program that plays samples and reads the response.
 
     Args:
-        rig: rig with `drive.waveform: stream`; tables that it publishes are dropped once they are read here.
+        rig: rig with `drive.waveform: stream`; tables that it publishes while a call waits are dropped, except
+            calibrations, commands and journal.
         abort: largest absolute reading that is allowed, in the unit of its channel, by channel. A larger reading raises
             a `CommandError` in the call that receives it; the output continues.
 

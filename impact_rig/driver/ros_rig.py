@@ -84,7 +84,7 @@ class RosRig(RigDriver):
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
             value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
-        faults: instrument faults to plan, in addition to those of the configuration.
+        faults: instrument faults to plan, in addition to those of the configuration; ignored for a running rig.
         name: name of the rig in reports and messages.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
@@ -93,8 +93,8 @@ class RosRig(RigDriver):
         also: further topics whose tables are kept, such as `truth/scan`.
         mode: `time.mode` of a new rig. `lockstep`, the default, advances only on request; `realtime` and `free_running`
             rigs run by themselves, and `step` waits for their scans.
-        hosted: whether to run rig and recorder in this process, too. They start ten times faster and still use real
-            DDS.
+        hosted: whether to run a new rig and its recorder in this process instead of processes of their own. They start
+            ten times faster and still use real DDS.
         namespace: namespace of a running rig in this environment's domain, which is driven instead of a new one.
 
     Attributes:
@@ -632,7 +632,9 @@ class RosRig(RigDriver):
         """
         directory, run = Path(directory), self._run
         if run is None:
-            raise RecordingError("nothing is being recorded: start the rig with `record`, and save once")
+            raise RecordingError(
+                "there is no recording to save: start the rig with `record`, and call `save` only once"
+            )
         try:
             self.stop_recording()
         # a process has ended or hangs, or a hosted node raises: a recorder finishes its run as it ends

@@ -29,7 +29,10 @@ GAP_M = 6e-3
 
 
 def make_sample(directory: Path) -> Path:
-    """Return `directory` with a sample run in it, after recording the run if it is missing or incomplete there."""
+    """Record the sample run into `directory`, unless a complete one is there, and return `directory`.
+
+    What is in the directory otherwise, such as the run of another version, is deleted.
+    """
     if directory.is_dir():
         try:
             with open_run(directory) as found:

@@ -606,7 +606,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
             try:
                 if rclpy_internals.is_possible(self, request.transition):
                     return original(request, response)
-                self.refuse("transition", f"transition {wanted!r} is not possible in lifecycle state {self.state!r}")
+                self.refuse(
+                    "transition",
+                    f"transition {wanted!r} is not possible in lifecycle state {self.state!r}: `ros2 lifecycle list "
+                    f"{self.get_fully_qualified_name()}` shows those that are",
+                )
             except Exception as error:  # rclpy raises RCLError, which is not exported
                 self.refuse("transition", f"transition {wanted!r} failed in lifecycle state {self.state!r}: {error}")
             finally:

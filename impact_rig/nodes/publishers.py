@@ -242,7 +242,8 @@ class Publishers:
     def clock(self, now_ns: int) -> None:
         """Publish rig time on `/clock`.
 
-        The publisher is created at the first call, because only one node of a ROS domain may offer this topic.
+        If the configuration at the start did not request `/clock`, its publisher is created at the first call: only one
+        node of a ROS domain may offer this topic.
         """
         if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)

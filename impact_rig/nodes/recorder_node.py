@@ -201,12 +201,12 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             return Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop"
         mixed = self._mixed()
         if mixed:
-            return Level.WARN, f"this run cannot be verified: {mixed}"
+            return Level.WARN, f"this run cannot be verified: {mixed}; end all but one, and start a new run"
         if self._lost():
             held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
-            return Level.ERROR, f"messages were lost before they reached the recorder{held}"
+            return Level.ERROR, f"messages were lost before they reached the recorder (values lost.TOPIC){held}"
         if self._writer is not None and self._refused:
-            return Level.WARN, f"recording without invalid messages on {', '.join(sorted(self._refused))}"
+            return Level.WARN, f"recording, but not the invalid messages on {', '.join(sorted(self._refused))}"
         if self._waiting:
             return Level.OK, "waiting for the rig's configuration"
         if self._awaited:

@@ -163,11 +163,12 @@ class RigState:
             waiting = f"waiting for peer {missing} to subscribe to {topics.SCAN.name}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
             yield Problem(level, waiting, NodeState(words.NO_PEER, waiting))
-        quiet = [f"peer {silent} silent for {timing.peer_timeout_s:g} s, blocks not acknowledged"] if silent else []
+        patience = f"for {timing.peer_timeout_s:g} s"
+        quiet = [f"peer {silent} silent, no block of {topics.SCAN.name} acknowledged {patience}"] if silent else []
         if session.is_starving:
             quiet.append(session.lack_of_samples())
         for why in quiet:
-            go_on = f"rig time stands still: {why} (~/pause with false continues without it)"
+            go_on = f"rig time stands still: {why} (call ~/pause with false to continue without it)"
             yield Problem(Level.ERROR, go_on, NodeState(words.SILENT_PEER, why))
         if rig.latched is not None:
             latched = f"shaker latched by {rig.latched}: it stays stopped until ~/clear_trip"
@@ -190,7 +191,8 @@ class RigState:
                 yield Problem(Level.WARN, f"{whose} did not arrive in time: {_WITHOUT[rig.config.drive.on_underrun]}")
         if session.pacer.slips:
             lag_s = session.pacer.slipped_ns / NS_PER_S
-            yield Problem(Level.WARN, f"the rig could not keep real time and gave up a lag of {lag_s:.1f} s")
+            slow = f"the rig could not keep real time and gave up a lag of {lag_s:.1f} s: it needs more processor time"
+            yield Problem(Level.WARN, slow)
         if realtime:
             per_second = daq.rate_hz * timing.factor / daq.block_scans
             for name, count in session.window.behind().items():
@@ -211,8 +213,8 @@ class RigState:
     def log_changes(self) -> None:
         """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers.
 
-        It also corrects what the rig waits for. A peer that was restarted need not acknowledge the blocks published
-        before, and a reader that no longer subscribes is forgotten.
+        It also updates the flow control. A silent peer that was restarted need not acknowledge the blocks published so
+        far. A reader that no longer subscribes is dropped, unless it is a peer, for which the rig continues to wait.
         """
         session = self._session
         rig, window = session.rig, session.window
@@ -222,7 +224,9 @@ class RigState:
             self._rig, self._latched, self._faults, self._silent, self._lost = rig, None, {}, (), {}
             self._info(f"running: {summary(self._node.settings)}")
             if session.absent:
-                self._warn(f"started without peer {session.absent}, which was not discovered in time")
+                self._warn(
+                    f"started without peer {session.absent}, which did not subscribe to {topics.SCAN.name} in time"
+                )
         if rig.latched != self._latched:
             self._latched = rig.latched
             if self._latched is None:

@@ -581,7 +581,10 @@ class Session:
         if self._stepping and self.is_starving:
             self._end_steps(self.lack_of_samples())
         elif silent:
-            self._end_steps(f"peer {', '.join(silent)} does not acknowledge {topics.SCAN.name}")
+            self._end_steps(
+                f"peer {', '.join(silent)} does not acknowledge {topics.SCAN.name}: restart it, or call ~/pause with "
+                "false to continue without it"
+            )
         elif self._steps_left <= 0 and self._stepping and window.outstanding() == 0:
             _answer(self._stepping, True, f"rig time {rig.next_block_ns / NS_PER_S:.9f} s")
 
@@ -672,7 +675,10 @@ class Session:
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):
-            self._end_steps(f"peer {', '.join(self.readers.missing())} does not subscribe to {topics.SCAN.name}")
+            missing = ", ".join(self.readers.missing())
+            self._end_steps(
+                f"peer {missing} does not subscribe to {topics.SCAN.name}: start it, or remove it from time.peers"
+            )
 
     def _on_step(self, _request: Trigger.Request, done: Done) -> None:
         self.running()
@@ -757,7 +763,9 @@ class Session:
         window = self.window
         if window.newest_ns is None or stamp > window.newest_ns:
             self.node.refuse(
-                topics.ACK.name, f"{name!r} acknowledged a block with stamp {stamp} ns, but none so late was published"
+                topics.ACK.name,
+                f"{name!r} acknowledged a block with stamp {stamp} ns, but no block so late was published: send the "
+                "stamp of a block that was received",
             )
             return
         if name not in window.readers:

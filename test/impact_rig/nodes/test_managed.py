@@ -160,9 +160,9 @@ def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) 
     request = ChangeState.Request(transition=Transition(label="no_such_transition"))
     assert not user.call(ChangeState, "small/change_state", request).success
     assert node.refusals.counts["transition"] == 4
-    assert (
-        node.refusals.last["transition"]
-        == "transition 'no_such_transition' is not possible in lifecycle state 'active'"
+    assert node.refusals.last["transition"] == (
+        "transition 'no_such_transition' is not possible in lifecycle state 'active': `ros2 lifecycle list /small` "
+        "shows those that are"
     )
 
 

@@ -35,7 +35,8 @@ def test_a_silent_peer_pauses_the_rig_and_is_named_until_the_rig_is_resumed(clie
     host_rig(client, "free_running", time__peers=["client"], time__peer_timeout_s=0.5, time__ack_window=4)
     client.wait_active("rig")
     scans = client.collect("daq/scan")  # listens, but never acknowledges
-    client.wait_until(lambda: "client silent for 0.5 s" in client.status("rig").message, "the diagnostic")
+    silent = "peer client silent, no block of daq/scan acknowledged for 0.5 s"
+    client.wait_until(lambda: silent in client.status("rig").message, "the diagnostic")
     assert client.status("rig").level == b"\2"
     assert len(scans) == 4, "no further than the window"
     client.pause(False)
