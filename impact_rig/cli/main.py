@@ -48,7 +48,7 @@ HEADINGS = {
     "Files": ("check",),
     "Other packages": (),
 }
-"""Commands of the help by heading; contributed commands are listed under the last one."""
+"""Names of commands by the heading under which the help lists them; all others are listed under the last heading."""
 HIDDEN = ("interface",)  # installed, but not listed in the help
 MOVED = {"loop": "drive", "play": "drive play", "frf": "drive frf"}
 

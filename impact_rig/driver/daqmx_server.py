@@ -54,7 +54,7 @@ ACQUIRED, TRANSFERRED = 1, 2
 TRANSFERRED_KEYS = {"Read": "ni-samps-per-chan-read", "Write": "ni-samps-per-chan-written"}
 """Metadata key of the number of samples that a call has transferred, by the first word of the call's name.
 
-An error must report this number, too, which is 0.
+A call that fails must send this number, too; it is then 0.
 """
 ABORT, START, STOP = 6, 0, 1
 PROPERTY_TYPES = {"Bool": bool, "Double": float, "Int32": int, "String": str, "UInt32": int, "UInt64": int}

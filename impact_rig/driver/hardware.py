@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Buffered analog output and input of a rig, for controllers.
+"""Buffered analog output and input of a rig, for programs that play samples and read the response.
 
 `AnalogOutput` plays samples and `Acquisition` reads scans. Each works without the other: they may be in two processes,
 each with its own `RosRig`, or in two threads that share one rig. Threads cannot share a `RosRig` in lockstep, because

@@ -71,7 +71,10 @@ A running rig that shall wait for this program lists `controller` in `time.peers
 REALTIME_LEAD_S = 0.2
 GRACE_S = 0.005  # wall time to wait for measurements that were published before the answer to a step
 FIXED = ("time.", "step.", "daq.rate_hz", "daq.block_scans", "output.autostart")
-"""Parameters that `restart` leaves unchanged: read-only ones, and those that define how this program drives the rig."""
+"""Parameters, by the beginning of their names, that `restart` leaves unchanged.
+
+They are read-only, or define how this program drives the rig.
+"""
 
 
 class RosRig(RigDriver):

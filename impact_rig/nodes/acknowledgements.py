@@ -54,7 +54,10 @@ In the other time modes, stamps begin at 0. The limit is wide because a rig that
 system time.
 """
 REPEATED_S = 3.25
-"""Time [s] within which Fast DDS delivers again what a suspended reader has missed: its heartbeats come every 3 s."""
+"""Time [s] after a reader resumes within which Fast DDS delivers what it missed while suspended.
+
+Fast DDS sends a heartbeat, which reveals missing messages, every 3 s.
+"""
 ALONE_S = 0.004  # a block that arrives this long after the last acknowledgement is acknowledged at once
 MOST = 16  # maximum number of blocks per acknowledgement: the default window of a rig
 

@@ -55,7 +55,7 @@ _FOLLOWING = {
     topics.IMPACTS: tuple(analysis.topic for analysis in ANALYSES),
     topics.PLOT_PULSES: (*SPECTRA.values(), *ENVELOPES.values()),
 }
-"""Topics that the base table lacks, by the topic of the base table after which they are inserted into `TOPICS`."""
+"""Topics that `topics.COMMON` lacks, by the topic in `topics.COMMON` after which they are inserted into `TOPICS`."""
 
 TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in (topic, *_FOLLOWING.get(topic, ())))
 """All topics that nodes of this package publish or read, in the order of docs/reference/interface.md."""

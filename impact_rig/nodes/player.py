@@ -46,7 +46,7 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S
 from impact_rig.system.endings import defer_signals
 
 MADE_HERE = (topics.CLOCK.name, topics.CLOCK.name.lstrip("/"), topics.ACK.name)
-"""Topics that are never replayed: the player publishes the clock, and present peers acknowledge, not recorded ones."""
+"""Topics that are never replayed: the player makes its own clock, and acknowledgements come from the present peers."""
 SPIN_S = 0.05
 LAST_NS = (2**31 - 1) * NS_PER_S  # builtin_interfaces/Time counts seconds in 32 bits
 LONGEST_PAUSE_NS = 3600 * NS_PER_S

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Main loop of every node: spin until the process is asked to end, then end in order.
+"""Main loop of every node: run its callbacks (spin) until the process is asked to end, then clean up and end.
 
-Spinning means running the callbacks of the node. `EventsExecutor` needs a third to a sixth of the processor time of the
-default executor. In Jazzy, its `spin()` busy-loops and its `spin_once` returns to Python after every message, so the
-loop spins for 0.2 s at a time. If rclpy does not have this executor, the default one is used.
+`EventsExecutor` needs a third to a sixth of the processor time of rclpy's default executor. In Jazzy, its `spin()`
+busy-loops and its `spin_once` returns to Python after every message, so the loop spins for 0.2 s at a time. If rclpy
+does not have `EventsExecutor`, the default one is used.
 
 Signals only set a flag that the loop checks. So neither a callback nor the clean-up is interrupted, however often
 Ctrl-C arrives, and the last messages still find a valid context. Only the main thread receives signals; threads of DDS

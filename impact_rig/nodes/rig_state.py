@@ -14,7 +14,7 @@
 """Status of a rig: its state, message and values in diagnostics, and the lines of its log.
 
 The log has one line each time something starts, ends or goes wrong. It is updated ten times a second and compares with
-the last update, so nothing is logged twice, and a fault that flickers does not flood the log.
+the last update, so nothing is logged twice, and a fault that often starts and ends does not flood the log.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from impact_rig.simtime import NS_PER_S
 SLOW_S = 1.0
 """Lag [s of wall time] beyond which diagnostics report that a reader is behind.
 
-At 100 blocks per second, the queue of a reader holds ten times as much.
+At 100 blocks per second, the queue of a reader holds the blocks of ten seconds.
 """
 CLOCK_STEP_S = 0.1  # steps of the system clock of this size are reported; slewing changes both clocks alike
 _WITHOUT = {"ramp": "the drive ramps to zero", "hold": "the last one is held", "trip": "the drive ramps to zero"}

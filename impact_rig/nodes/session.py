@@ -155,7 +155,7 @@ class DuplicatePublishers:
 WORK_S = 0.02  # wall time for which one call of the work timer may run before commands and services are processed
 LARGEST_BATCH_S = 0.2  # rig time simulated at once, which delays commands and services as well
 CATCH_UP_NS = 50_000_000
-"""Rig time [ns] that is simulated at most before the wall clock is read again; for a rig in real time that is late."""
+"""Largest rig time [ns] that a rig in real time simulates at once while it is behind; then it reads the clock again."""
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 0.001, 0.05
 AHEAD_PERIOD_S = 0.005  # period of the work timer if acknowledgements drive the work
 SLICE_S = 0.02

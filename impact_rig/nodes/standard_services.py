@@ -14,7 +14,7 @@
 """Services of the package `simulation_interfaces`, each offered if the installed package defines it.
 
 They offer pause, step and reset of the rig in the terms of that package. A rig counts as `STOPPED` if it is inactive,
-or if these services have paused and reset it and it has not moved since. Time is never turned back.
+or if these services have paused and reset it and it has not advanced since. Rig time never goes back, also at a reset.
 """
 
 from __future__ import annotations
