@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Figures of one recorded run: its curves, and traces, phase plane and spectrum of its last settled measurement."""
+"""Figures of one recorded run: DT over frequency, and traces, phase plane and spectrum of its last measurement."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ TRACED_CYCLES = 8
 SMOOTHED_CYCLE = 40.0  # the velocity of the phase plane is smoothed over a cycle divided by this number
 SHOWN = (("laser", "1"), ("base", "b"), ("accelerometer", "1"), ("current", ""))
 """Channels, each with the index of its symbol; phase plane and spectrum show the first of them that a run has."""
-HARMONICS = 10.5
-UNDRIVEN_HZ = 100.0  # the spectrum ends after this many harmonics of the drive, or at this frequency without a drive
+HARMONICS = 10.5  # the spectrum ends at this multiple of the drive frequency
+UNDRIVEN_HZ = 100.0  # end of the spectrum without a drive frequency
 
 
 def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAMES) -> None:
@@ -66,7 +66,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw the figures of a run; return the excerpt that was drawn, and the paths of the files in `directory`.
+    """Draw the figures of a run; return the excerpt that was drawn, and the paths of the new files in `directory`.
 
     `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
@@ -101,7 +101,15 @@ def channel_units(run: Run) -> dict[str, str]:
 
 
 def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
-    """Return the first channel of `SHOWN` that was measured, the factor to its drawn unit, that unit, its symbol."""
+    """Return the channel that phase plane and spectrum show: the first one of `SHOWN` that was measured.
+
+    Args:
+        rows: scans.
+        units: SI unit of each channel, by name.
+
+    Returns:
+        Name of the channel, factor from its SI unit to the drawn unit, drawn unit, and symbol for the axis.
+    """
     channel, index = next(one for one in SHOWN if one[0] in (rows.dtype.names or ()))
     factor, _, unit = drawings.MOTIONS[units[channel]]
     return channel, factor, unit, drawings.symbol(index, units[channel]) if index else f"the {channel}"
@@ -110,7 +118,7 @@ def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     """Return the settled rows of `transmissibility/table` by label, one curve per gap and direction of the sweep.
 
-    A gap measured at a single frequency is no curve, so it is left out if another gap has at least two frequencies.
+    A gap that was measured at a single frequency gives no curve and is left out.
     """
     rows = rows[rows["settled"] == 1.0]
     curves: dict[str, NDArray[np.void]] = {}
@@ -132,9 +140,9 @@ def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
 
 
 def aliasing(info: NDArray[np.void]) -> str:
-    """Return a remark for drawings that the scan rate aliases the pulses of the accelerometer; empty if it does not.
+    """Return a remark for drawings if the scan rate is too low for the pulses of the accelerometer; otherwise empty.
 
-    `info` are rows of `daq/info`.
+    It is too low if the bandwidth of the accelerometer exceeds half the scan rate. `info` are the rows of `daq/info`.
     """
     found = info[info["name"] == b"accelerometer"]
     if not len(found):
@@ -150,17 +158,17 @@ def aliasing(info: NDArray[np.void]) -> str:
 
 
 def titled(figure: Figure, run: Run, what: str = "") -> Figure:
-    """Give a figure a title of the name of the run and an optional description; return the figure."""
+    """Give a figure the name of the run, followed by `what` if it is not empty, as its title; return the figure."""
     name = run.path.name.replace("$", r"\$")  # next to the mathematical symbols of `what`
     figure.suptitle(f"{name}: {what}" if what else name, fontsize="medium")
     return figure
 
 
 def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
-    """Write a figure to `stem` plus the suffix of each format, and return the paths; no file is overwritten.
+    """Write a figure to `stem` plus the suffix of each format, and return the paths.
 
     Raises:
-        RecordingError: the figure cannot be written.
+        RecordingError: a file exists already, or cannot be written.
     """
     plain_texts(figure)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]

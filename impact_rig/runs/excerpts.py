@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Measurements of a whole stretch of a run, which the live node does not make: frequency response, fitted sines.
+"""Measurements on an excerpt of a run that the live analysis does not make: frequency response and fitted sines.
 
-An excerpt is a stretch of contiguous scans that is drawn, or measured as one record.
+An excerpt is a series of contiguous scans that is drawn, or measured as one record.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from impact_rig.simtime import NS_PER_S
 from impact_rig.states import Status
 
 UNSETTLED_S, UNSETTLED_CYCLES, UNSETTLED_SCANS = 5.0, 24, 200
-"""Length of the excerpt of a run in which nothing settled: the longest of these seconds, drive cycles and scans."""
+"""Length of the excerpt of a run without a settled measurement: these seconds, drive cycles or scans, the longest."""
 FEWEST_DRAWN = 16  # minimum number of scans of a drawing or a fit
-HELD_S = 0.5  # maximum delay of the report of a measurement after its last scan [s]
+HELD_S = 0.5  # the analysis publishes a measurement at most this time after its last scan [s]
 FEWEST_SCANS = 100
 MOST_SCANS = 20_000_000  # maximum number of scans of a record; they need 740 MB
 
@@ -55,7 +55,7 @@ class Excerpt:
     rate_hz: float  # scans per second
     drive_hz: float  # drive frequency, 0 if unknown
     impact_times: NDArray[np.float64]  # times of the impacts detected in it [s, as the rows' time], shape (k,)
-    settled: bool  # whether it is a settled measurement; the end of the run otherwise
+    settled: bool  # whether these are the scans of a settled measurement; otherwise they are the last ones of the run
 
     def newest(self, cycles: int) -> Excerpt:
         """Return the part of this excerpt with its last `cycles` drive cycles, or all of it if the drive is unknown."""
@@ -64,15 +64,16 @@ class Excerpt:
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
 
     def __str__(self) -> str:
-        """Return the times and the origin of these scans as a readable text, for titles and messages."""
+        """Return the first and last time of these scans and why they were chosen, as text for titles and messages."""
         where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
 
 def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
-    """Return the scans of the last settled measurement of a run; if nothing settled, those of its last seconds.
+    """Return the scans of the last settled measurement of a run; without a settled one, those at the end of the run.
 
-    `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
+    The length of the latter is `UNSETTLED_S` or more. `found` are the findings of the analysis, one for each block of
+    scans (`reanalysis.analyze`).
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_DRAWN` contiguous scans there.
@@ -112,7 +113,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
 
 
 def last_record(run: Run) -> Excerpt:
-    """Return the last contiguous scans of a run, at most `MOST_SCANS`, under any drive.
+    """Return the last contiguous scans of a run, at most `MOST_SCANS`; the drive may change within them.
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_SCANS` contiguous scans at its end.
@@ -134,15 +135,18 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
     """
     tables = list(run.tables(topics.INFO.name))
     if not tables:
-        raise RecordingError(f"{run.path} holds no daq/info: the meaning of its scans is unknown")
+        raise RecordingError(
+            f"{run.path} holds no calibration (daq/info), so the rate and units of its scans are unknown"
+        )
     return tables[-1].rows
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
-    """Return the newest contiguous scans up to the end of block `last`, of about `span_s` or less.
+    """Return the newest contiguous scans up to the end of block number `last`: about `span_s` seconds, or fewer.
 
-    The first value is the number of the first block of the run, or of the first one after the last reset. The second
-    is the stamp of its first scan [ns], from which `time` counts in the rows, the third value.
+    Returns:
+        The number of the block from which times count: the first block of the run, or the first one after its stamps
+        last went back. Then the stamp of this block [ns], and the rows, whose `time` counts from that stamp [s].
     """
     kept: deque[Table] = deque()
     first, origin_ns = 0, 0
@@ -161,7 +165,7 @@ def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[i
 
 
 def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
-    """Return the rows of tables, one after the other; their `time` counts from `origin_ns` instead of the stamps."""
+    """Return the rows of all tables; their `time` [s] counts from `origin_ns` instead of the stamp of each table."""
     parts = []
     for table in tables:
         rows = table.rows.copy()
@@ -170,9 +174,9 @@ def _joined(tables: Iterable[Table], origin_ns: int) -> NDArray[np.void]:
     return np.concatenate(parts)
 
 
-# reference of phases and frequency: the first of these channels that was measured
+# the first of these channels that was measured is the reference of phases and frequency
 REFERENCES = ("current", "base", "laser", "accelerometer")
-COHERENT = 0.9  # coherence that at least one excited line must have
+COHERENT = 0.9  # coherence of base and laser that at least one excited frequency must have
 
 
 def response_of(
@@ -182,13 +186,14 @@ def response_of(
 
     Args:
         run: an open run.
-        segment_s: length of a segment [s]: the lines are 1 / segment_s apart; None selects a length that resolves the
-            resonance.
-        window: window of `analysis.frf`.
-        damping_ratio: damping ratio of the resonance, instead of the estimated one.
+        segment_s: length of the segments over which spectra are averaged [s]: frequencies are 1 / segment_s apart. None
+            selects a length that resolves the resonance.
+        window: name of a window of `analysis.frf`.
+        damping_ratio: damping ratio of the resonance; None means the estimated one.
 
     Raises:
-        RecordingError: the scans are too few, lack laser or base, or no frequency is excited enough.
+        RecordingError: the scans are too few, lack laser or base, or no excited frequency has a coherence of at least
+            `COHERENT`.
     """
     excerpt = last_record(run)
     need_motions(run, excerpt.rows)
@@ -211,7 +216,7 @@ def response_of(
 
 
 def need_motions(run: Run, rows: NDArray[np.void]) -> None:
-    """Check that scans of a run contain the channels `laser` and `base`, which x_1 / x_b needs.
+    """Check that scans of a run contain the channels `laser` (x_1) and `base` (x_b), of which the ratio is measured.
 
     Raises:
         RecordingError: a channel is missing; the message names it.
@@ -228,12 +233,12 @@ class Sines:
     """Sines of one frequency, fitted to all channels of an excerpt."""
 
     reference: SineFit
-    """Fit of the reference channel, with a free frequency: that of all other fits.
+    """Fit of the reference channel, including its frequency, which all other fits use.
 
     The reference is the first of current, base, laser and accelerometer that was measured.
     """
     reference_name: str
-    fits: dict[str, SineFit]  # fit of every channel at that frequency, by name
+    fits: dict[str, SineFit]  # fit of every channel at the frequency of the reference, by name
     measured: Measurement | None
     """Transmissibility of the whole excerpt at the commanded frequency; None if laser or base was not measured."""
     excerpt: Excerpt

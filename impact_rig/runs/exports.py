@@ -13,12 +13,12 @@
 # limitations under the License.
 """Export of table topics to CSV, NumPy's NPZ, Parquet, and universal files (dataset 58).
 
-The columns are those of `impact_rig.recording.columns`: time, date and `earlier`, then the table's own. Numbers in CSV
-files read back to the same bits.
+The columns are those of `impact_rig.recording.columns`: `time`, `timestamp` and `earlier`, then those of the table.
+Numbers in CSV files read back to the same bits.
 
-A universal file holds one dataset 58b (binary, double precision) per numeric column: a time response over `time`. A
-table with frequency, transmissibility and phase, such as `transmissibility/table`, gives one more dataset per gap, or
-per word in a column `curve`: a complex frequency response function for modal analysis.
+A universal file has one dataset 58b (binary, double precision) per numeric column: a time response over `time`. For a
+table with frequency, transmissibility and phase, such as `transmissibility/table`, it also has complex frequency
+response functions for modal analysis: one per gap, or one per text in a column `curve`.
 """
 
 from __future__ import annotations
@@ -86,6 +86,8 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
     """Write batches of columns to the new file `target`, in the format of its suffix, and return its path.
 
+    `batches` is called after the checks of `target`, and yields columns with the same names each time.
+
     Raises:
         RecordingError: the suffix is unknown, or the file exists or cannot be written.
     """
@@ -116,7 +118,11 @@ def _batches(run: Run, topic: str) -> Iterator[Columns]:
 
 
 def _journal_columns(run: Run) -> Columns:
-    """Return the journal of a run as columns, one row per entry; values and faults are JSON texts."""
+    """Return the journal of a run as columns, one row per entry.
+
+    `value` is a number, NaN without one. The columns `values` and `fault` hold JSON texts, which are empty if an entry
+    has none.
+    """
     found = [
         (is_earlier(run, message), entry)
         for message in run.messages([topics.JOURNAL.name], recorded_order=True)
@@ -153,7 +159,7 @@ def _write_csv(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a column as it is written to a text file: dates as ISO 8601 text to the nanosecond, others unchanged."""
+    """Return a column as it is written to a CSV file: dates as ISO 8601 text to the nanosecond, others unchanged."""
     return np.datetime_as_string(column, unit="ns") if column.dtype.kind == "M" else column  # type: ignore[call-overload]
 
 
@@ -191,7 +197,11 @@ def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 
 def _datasets(columns: Columns) -> list[dict[str, object]]:
-    """Return the datasets of a universal file for pyuff: time and frequency responses of the numeric columns."""
+    """Return the datasets of a universal file, as dictionaries for pyuff, from the numeric columns of a table.
+
+    Raises:
+        RecordingError: the columns give no function of time or frequency with at least two points.
+    """
     found: list[dict[str, object]] = []
     numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
     x = numbers.pop(TIME, None)
@@ -214,7 +224,10 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
 def _response_functions(
     numbers: Mapping[str, NDArray[np.float64]], curve: NDArray[np.generic] | None
 ) -> Iterator[dict[str, object]]:
-    """Yield the datasets of X_1/X_b over frequency, one per curve or gap; rows without a measurement are left out."""
+    """Yield the datasets of X_1/X_b over frequency: one per text in `curve`; without `curve`, one per gap.
+
+    Rows without a finite value are left out, and so are functions with fewer than two rows.
+    """
     ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
     order = np.arange(len(ratio))
     if curve is None:
@@ -231,10 +244,10 @@ def _response_functions(
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
-    """Return y over x as a dataset 58 for pyuff, with its abscissa unless it is an evenly spaced time.
+    """Return y over x as a dataset 58 for pyuff; the file has every value of x, unless x is an evenly spaced time.
 
-    Of an evenly spaced time, the file holds start and step with six digits each, from which readers compute the other
-    values.
+    For an evenly spaced time, the file has only the first value and the step, with six digits each. Readers compute the
+    other values from them.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file
@@ -247,7 +260,7 @@ def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic
     }  # fmt: skip
 
 
-_EVEN = 1e-6  # tolerance within which an abscissa counts as even, as a fraction of its step
+_EVEN = 1e-6  # largest deviation of an evenly spaced abscissa from its first value and step, as a fraction of the step
 _TIME_RESPONSE, _RESPONSE_FUNCTION = 1, 4  # function types of dataset 58
 
 _WRITERS: Mapping[str, Callable[[BinaryIO, Iterator[Columns]], None]] = {

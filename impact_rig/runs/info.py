@@ -13,7 +13,7 @@
 # limitations under the License.
 """Summary of a recorded run for `impact-rig info`: its contents, and a verdict about its integrity.
 
-Every message is read, so every checksum is checked.
+All messages are read, which also checks all checksums.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from impact_rig.runs.origin import origin
 from impact_rig.runs.recovery import Recovered
 from impact_rig.simtime import NS_PER_S
 
-SAME_RATE = 1e-6  # relative deviation of the scan rate, by the times in a block, from that of the calibration
+SAME_RATE = 1e-6  # relative deviation up to which the rate from the times in a block is that of the calibration
 
 
 @attrs.frozen
@@ -75,9 +75,9 @@ class RunInfo:
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in order of registration
     rate_hz: float | None  # scans per second of `daq/scan`, of the first rig if there are two; None without scans
-    last_block_s: float  # duration of its newest block [s]; 0 if unknown
-    rig_s: float | None  # rig time spanned by the stamps of the scans [s], the longest of all rigs; None without scans
-    scans: Contiguity | None  # whether its blocks are contiguous; None without scans
+    last_block_s: float  # duration of the newest block of scans [s], the longest of all rigs; 0 if unknown
+    rig_s: float | None  # rig time covered by the scans [s], the longest of all rigs; None without scans
+    scans: Contiguity | None  # numbers of blocks and scans, and gaps; None without scans, or if a rate is unknown
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, and more; empty for files of other recorders
     attachments: Mapping[str, int]  # size of each file stored inside the run [bytes], by name
     configuration: str | None  # text of the attached configuration
@@ -207,7 +207,16 @@ def _verdict(
 ) -> str:
     """Return the verdict on a run without damage, as one sentence.
 
-    It calls a run whole only if its recorder kept an account of lost messages, and nothing is missing.
+    The sentence begins with "whole" only if nothing is missing, everything carries a checksum, and the recorder kept an
+    account of lost messages.
+
+    Args:
+        tally: counts over the messages.
+        scans: gaps between the blocks of scans; None if a scan rate is unknown.
+        missing: what is missing, one clause each.
+        checked: how many parts carry a checksum.
+        accounted: whether the recorder kept an account of received and lost messages.
+        recovered: whether a recovery wrote the run.
     """
     begin = f"recovered: {checked}" if recovered else str(checked)
     if missing:
@@ -225,9 +234,9 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return the gaps between the blocks of all rigs of a recording together; None if a scan rate is unknown.
+    """Return the sum over all rigs of a recording of their blocks, scans and gaps; None if a scan rate is unknown.
 
-    If a recording has several rigs, their blocks alternate, and each block follows a block of the same rig.
+    The blocks of several rigs alternate in a recording, so gaps are found for each rig separately.
     """
     found = [
         check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz
@@ -262,7 +271,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return a clause for the verdict on each missing file of a run that its other files show to be missing."""
+    """Return a clause for each file of a run that is missing: the next file of a split run, and `metadata.yaml`."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
@@ -272,7 +281,10 @@ def _absent_files(run: Run) -> list[str]:
 
 
 def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Tally) -> list[str]:
-    """Return clauses for the verdict: contradictions between the messages in the files and the recorder's account."""
+    """Return a clause for each contradiction between the messages in the files and the account of the recorder.
+
+    The account states how many messages of each publisher the recorder received, and their sequence numbers.
+    """
     short, twice, uncounted = [], [], []
     for name, numbers in tally.sequences.items():
         streams = account.get(name)
@@ -289,18 +301,23 @@ def _unaccounted(account: Mapping[str, list[losses.PublisherStream]], tally: _Ta
         if name not in tally.sequences and any(stream.received for stream in streams):
             short.append(f"{sum(stream.received for stream in streams)} of {name}")
     contradictions = {
-        "messages that were received are not in it": short,
-        "messages are in it twice": twice,
+        "messages that the recorder received are not in the files": short,
+        "messages are in the files twice": twice,
         "topics without an account by the recorder": uncounted,
     }
     return [f"{what}: {', '.join(which)}" for what, which in contradictions.items() if which]
 
 
 def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]) -> tuple[int, int]:
-    """Return the number of duplicate messages, and of messages that were received but are missing in the files.
+    """Return the numbers of duplicate messages of a topic, and of messages that were received but are not in the files.
 
-    A file does not name the sender of a message. The sequence numbers of a topic are therefore compared with all of its
-    publishers together: no number may occur more often than there are publishers that sent it.
+    A file does not name the sender of a message. The sequence numbers in the files are therefore compared with those of
+    all publishers together: no number may occur more often than there are publishers that sent it. Both results are 0
+    if some messages have no sequence number.
+
+    Args:
+        numbers: sequence numbers of the messages of a topic in the files.
+        streams: counts of the publishers of the topic in the recorder's account.
     """
     if any(not stream.first or stream.newest >= 2**32 for stream in streams):
         return 0, 0  # messages have no number, publishers were dropped, or only some messages have numbers
@@ -322,17 +339,20 @@ def _left_out(recovered: Recovered | None) -> list[str]:
 
 @attrs.define
 class _RigScans:
-    """Facts about the scans of one rig in a recording, collected message by message."""
+    """Stamps, lengths and rates of the blocks of one rig in a recording, and its starts and resets."""
 
-    blocks: list[tuple[int, int]] = attrs.field(factory=list)
+    blocks: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans
     starts: list[int] = attrs.field(factory=list)  # time of scan 0 of each start in the journal [ns]
     resets: list[int] = attrs.field(factory=list)  # time of scan 0 of each reset in the journal [ns]
     rates: list[float] = attrs.field(factory=list)  # scan rates from the calibrations [Hz]
-    from_times: float | None = None
+    from_times: float | None = None  # scan rate from the times in the first block that shows one [Hz]
 
     @property
     def rate_hz(self) -> float | None:
-        """Scans per second: from the times in a block, the calibration, or stamps of one-scan blocks; None: unknown."""
+        """Scans per second from the times in a block, else from the calibration, else from the stamps of blocks.
+
+        The stamps give a rate only if blocks have one scan each. None means unknown.
+        """
         found = self.from_times or next(iter(self.rates), None)
         if self.rates and found and abs(self.rates[0] / found - 1.0) < SAME_RATE:
             found = self.rates[0]  # the calibration has the full precision
@@ -344,7 +364,7 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time covered by the scans [s]; if the stamps go back (a restarted rig), the stretches are added."""
+        """Rig time covered by the scans [s]; if stamps go back (a restarted rig), the sum of before and after that."""
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
             if number == 0 or stamp_ns < begin_ns:
@@ -360,7 +380,7 @@ class _RigScans:
 
 
 class _Tally:
-    """Counts over the messages of a run: figures of each topic, and facts about the scans of each rig."""
+    """Counts over the messages of a run: figures of each topic, and blocks, rates and starts of each rig."""
 
     def __init__(self, run: Run) -> None:
         self._types = {name: recorded.topic.type_name for name, recorded in run.topics.items()}
@@ -375,7 +395,11 @@ class _Tally:
         """Sequence numbers of the messages of each topic, as given by their publishers."""
 
     def add(self, message: Message) -> None:
-        """Count one message; also keep stamp and length of a block of scans, scan rates, starts and resets of rigs."""
+        """Count one message; also keep the facts of its rig if it is a block of scans, a calibration or a journal.
+
+        Raises:
+            DamageError: a message of `daq/scan` is not a valid table.
+        """
         self._found[message.topic].add(message.log_time)
         self._bytes[message.topic] += len(message.data)
         self.sequences[message.topic].append(message.sequence)
@@ -395,7 +419,7 @@ class _Tally:
                         rig.resets.append(entry.stamp_ns)
 
     def _rig(self, message: Message, topic: topics.Topic) -> _RigScans:
-        """Return the rig that a message belongs to."""
+        """Return the facts about the rig to which a message of this topic belongs."""
         prefix = prefix_of(message.topic, topic)
         assert prefix is not None
         return self.rigs[prefix]
@@ -414,7 +438,7 @@ class _Tally:
             rig.from_times = scan_rate_hz(table)
 
     def topics(self) -> tuple[TopicInfo, ...]:
-        """Return the figures of every topic."""
+        """Return the figures of every recorded topic, in order of registration."""
         found = []
         for name, one in self._found.items():
             span_s = one.duration_ns / NS_PER_S

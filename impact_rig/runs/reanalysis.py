@@ -13,9 +13,9 @@
 # limitations under the License.
 """Reanalysis of a recorded run by the live node's `Tracker`, and comparison with the live results.
 
-A measurement begins at the last change (a command, a label, a reset) or at the start of the data. Live and recorded
-results therefore agree from the first change that both saw. Before it, one of them has seen more scans, so they
-cannot be compared.
+A measurement begins at the last change (a command, a label, a reset) or at the start of the data. The results of the
+live analysis and of the reanalysis therefore agree from the first change that both received. Before this change, one of
+the two analyses has received more scans than the other, so their results cannot be compared.
 """
 
 from __future__ import annotations
@@ -48,13 +48,15 @@ _NEEDED = (topics.INFO, topics.APPLIED, topics.SCAN)
 
 
 def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _, table: table) -> Iterator[Findings]:
-    """Analyse a recorded run as the live node does, and yield the findings of each block of scans, then the last ones.
+    """Analyse a recorded run as the live node does, and yield the findings of each block of scans.
 
-    The settings are the last ones of the live analysis, or without one the defaults.
+    The last findings follow the last block: those that the analysis makes when the data end. The settings are the last
+    ones of the live analysis; without a live analysis in the run, the defaults.
 
     Args:
         run: an open run.
-        instead: function that replaces each table of `daq/info` or `daq/scan` before it is analysed.
+        instead: function that receives topic and table of each message of `daq/info` and `daq/scan`, and returns the
+            table to analyse; by default the same table.
 
     Raises:
         RecordingError: a topic that the analysis needs was not recorded, or a message is damaged or of another type.
@@ -79,13 +81,19 @@ def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _
 
 
 def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
-    """Yield the messages of some topics of a run in the order in which the rig published them.
+    """Yield the messages of some topics of a run in the order in which the rig published them (publish time).
 
-    Scans keep the order in which they were received.
+    Scans keep the order in which they were received. The topics are sorted because each reaches a recorder
+    independently: on a busy machine a change may arrive many scans late, and latched messages arrive late at a recorder
+    that starts while the rig runs. Without a calibration (`daq/info`) nothing can be measured, so the first calibration
+    is yielded before all scans in any case.
 
-    Each topic reaches a recorder independently. On a busy machine a change may arrive many scans late, and latched
-    messages arrive late at a recorder that starts while the rig runs. Without a calibration nothing can be measured, so
-    the first one is always yielded first.
+    Args:
+        run: an open run.
+        names: topics to read, by full name; with `daq/scan` and `daq/info`.
+
+    Raises:
+        RecordingError: the run has no block of scans or no calibration.
     """
     scan = next(name for name, topic in names.items() if topic is topics.SCAN)
     first = next(run.messages([scan], recorded_order=True), None)
@@ -94,7 +102,9 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
     others = sorted(run.messages(set(names) - {scan}, recorded_order=True), key=lambda one: one.publish_time)
     calibration = next((message for message in others if names[message.topic] is topics.INFO), None)
     if calibration is None:
-        raise RecordingError(f"{run.path} holds no {topics.INFO.name}: the meaning of its scans is unknown")
+        raise RecordingError(
+            f"{run.path} holds no calibration ({topics.INFO.name}), so the rate and units of its scans are unknown"
+        )
     if calibration.publish_time >= first.publish_time:
         others.remove(calibration)
         yield calibration
@@ -102,10 +112,12 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
 
 
 def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
-    """Return the last settings of the live analysis and its gap labels; without one, the defaults and those in remarks.
+    """Return the last settings of the live analysis in a run, and the gap labels that it has published.
 
-    There are no labels if two analyses published settings in turn: it is unknown which one made a label.
-    Settings are read before the scans: a label names the scan it acts on, and may have been recorded after that scan.
+    If no live analysis was recorded, the settings are the defaults, and the labels are those in the operator's remarks.
+    The list of labels is empty if two analyses published settings in turn, because it is then unknown which of them
+    made a label. Settings are read before the scans, because a label may have been recorded after the scan from which
+    it applies.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -121,17 +133,21 @@ class _LiveSettings:
 
     since_ns: int
     table: Table
-    again: bool  # whether a restarted analysis published them
-    # whether another analysis published in between: with two analyses at once, it is unknown which one made a label
+    again: bool  # whether an analysis published them that was restarted during the run
+    # whether another analysis published settings between two of this one: it is then unknown which one made a label
     in_turn: bool
 
 
 def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings that live analyses of a run published, in order; invalid tables are skipped.
 
-    The label of an analysis applies to all scans that it receives, from stamp 0 on. An analysis that was restarted
-    during the run has received nothing before, so its settings apply from its start. Those of an analysis that ended
-    before the run are latched and do not apply to it.
+    Settings apply from the stamp of their table on. Those with which an analysis starts have the stamp 0, so they apply
+    to all scans that it receives. An analysis that was restarted during the run has not received the earlier scans, so
+    its settings apply from its restart at the earliest. The settings of an analysis that ended before the run were
+    recorded only because their topic is latched, and are left out.
+
+    Raises:
+        RecordingError: all recorded settings are invalid.
     """
     topic = topics.ANALYSIS_SETTINGS
     if not run.holds(topic):
@@ -165,7 +181,10 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
 
 
 def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
-    """Return the rig time at which message `number` of a topic was received: the stamp of the last scan before it."""
+    """Return the rig time at which message `number` (from 0) of a topic was received: that of the last scan before it.
+
+    The time is in ns, and 0 if no scan precedes the message.
+    """
     name, scan = run.resolve(topic), run.resolve(topics.SCAN)
     newest_ns, count = 0, 0
     for message in run.messages([name, scan], recorded_order=True):
@@ -184,7 +203,7 @@ def remarks(run: Run) -> list[str]:
 
 
 def measurements(findings: Iterator[Findings]) -> list[Table]:
-    """Return the rows of `transmissibility/table` in findings, one per table; some have only a status."""
+    """Return the tables of `transmissibility/table` in findings, one row each; a row may have a status but no DT."""
     return [table for found in findings for table in found.measurements]
 
 
@@ -208,7 +227,7 @@ def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]
     Args:
         run: an open run.
         topic: the topic.
-        blocks: number of blocks of scans: only texts recorded before their end are returned. None means all.
+        blocks: if given, only the texts that were recorded before block number `blocks` of scans are returned.
     """
     if not run.holds(topic):
         return []
@@ -232,24 +251,25 @@ def _text(cdr: bytes | memoryview) -> str:
 
 TOLERANCE = 1e-9  # relative tolerance between machines that differ in the last bits
 ABSOLUTE = frozenset({"phase", "phase_uncertainty", "frequency_deviation", "thd", "spread"})
-"""Columns that can be nearly zero compared with the figures they derive from; their tolerance is 1e-9 of their unit."""
+"""Columns whose values can be nearly zero, so that their tolerance is absolute: 1e-9 in their unit."""
 DEFAULT_AHEAD, MOST_AHEAD = 16, 1000  # number of blocks that a rig may run ahead of its peers (time.ack_window)
-EDGE = 2  # measurements by which two topics of one analysis may differ at the start and the end of a recording
+# number of measurements that one of two topics of an analysis may have more at the start or end of a recording
+EDGE = 2
 LAG_S = 1.0
-"""Duration before the end of a recording whose messages may be missing, because topics overtake each other."""
+"""Duration before the end of a recording in which messages may be missing, because scans overtake them [s]."""
 
 _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 
 @attrs.frozen
 class Compared:
-    """Result of comparing one topic, or of leaving it out."""
+    """Result of comparing one topic, or the reason why it was not compared."""
 
     topic: str
     count: int = 0  # number of rows or messages that were compared and agree
     difference: str = ""  # the first difference; empty if there is none
-    left_out: str = ""  # topics that could not be compared, and why; empty if all could be compared
-    what: str = "rows"  # unit of the count
+    left_out: str = ""  # what of the topic was not compared, and why; empty if all was compared
+    what: str = "rows"  # unit of the count, for the text
 
     def __str__(self) -> str:
         if self.difference:
@@ -267,9 +287,9 @@ class Agreement:
     identical: bool = False  # whether the compared results are equal bit for bit
     compared: int = 0  # number of rows compared
     elsewhere: bool | None = None
-    """True if the live analysis ran on another machine or with other libraries; None if not recorded."""
+    """True if the live analysis ran on another machine or with other libraries; None if its machine is not recorded."""
     reason: str = ""  # the first difference, or why nothing could be compared; empty if all agrees
-    left_out: tuple[int, int] = (0, 0)  # number of live and offline rows that could not be compared
+    left_out: tuple[int, int] = (0, 0)  # number of rows of the live and of the later analysis that were not compared
     others: tuple[Compared, ...] = ()  # comparison results of the other topics of the analysis
 
     def __str__(self) -> str:
@@ -296,7 +316,7 @@ class Agreement:
 
 @attrs.frozen
 class _Blind:
-    """Stretch of scans that one of the two analyses has not received: those after scan `begin`, up to `end`."""
+    """Series of scans that one of the two analyses has not received: those after scan `begin`, up to scan `end`."""
 
     begin: float
     end: float
@@ -304,7 +324,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """Row of one of the two analyses: it measures the scans after scan `begin`, up to `end`."""
+    """Measurement of one of the two analyses, made from the scans after scan `begin`, up to scan `end`."""
 
     begin: int
     end: int
@@ -321,8 +341,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 
     Args:
         run: an open run.
-        offline: measurements of the later analysis.
-        impacts: impacts that it found; None skips their comparison.
+        offline: tables of measurements of the later analysis.
+        impacts: tables of impacts that the later analysis found; None skips their comparison.
 
     Raises:
         RecordingError: the run is damaged, or contains an invalid table.
@@ -360,9 +380,10 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
     if not theirs:
         return Agreement(
             None,
-            reason="no measurement of the live analysis began at a change that is in the recording: its first one "
-            f"began after scan {live_blind[0].end:.0f}, the recording after scan {data_begin}, and that of this "
-            "analysis " + (f"after scan {ours[0].begin}" if ours else "does not exist"),
+            reason="no measurement of the live analysis began at a change that is in the recording: the recording "
+            f"begins after scan {data_begin}, the first measurement of the live analysis after scan "
+            f"{live_blind[0].end:.0f}, "
+            + (f"that of this analysis after scan {ours[0].begin}" if ours else "and this analysis has no measurement"),
         )
     machines = {machine for one in settings if (machine := machine_of(one.table)) is not None}
     elsewhere = machines != {fingerprint()} if machines else None
@@ -376,7 +397,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
         if not reason_before:
             reason, identical, theirs, found = "", identical_before, shorter, ours_shorter
             if not theirs:
-                return Agreement(None, reason="the live results are of the last moments before the recorder was killed")
+                reason = "all live results are from the last moments of a killed recorder, which may lack data"
+                return Agreement(None, reason=reason)
     left_out = len(live) - len(theirs), len(ours) - len(found)
     others = [_plotted(run, live)]
     if impacts is not None:
@@ -388,9 +410,10 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 
 
 def lag_s(run: Run, block_s: float) -> float:
-    """Return how late messages of other topics may arrive after scans of their time, at the end of a recording [s].
+    """Return by how much messages of other topics may arrive later than the scans of the same time [s of rig time].
 
-    A rig that is not paced runs ahead of its peers by `time.ack_window` blocks.
+    In the last seconds of a recording with this length, other messages may therefore be missing. A rig that is not
+    paced by a wall clock runs ahead of its peers by `time.ack_window` blocks; the result is at least `LAG_S`.
 
     Args:
         run: an open run.
@@ -423,7 +446,7 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 
 
 def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
-    """Compare the topic of settled values for plotters with the live rows from which the analysis node made it."""
+    """Compare the values on the topic `transmissibility` with the settled live rows from which they were made."""
     name = topics.TRANSMISSIBILITY.name
     if not run.holds(name):
         return Compared(name, left_out="it is not in this run")
@@ -441,7 +464,7 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
     """Return whether two lists of values agree where both exist, if `shown` begins `shift` values after `settled`.
 
-    Their ends may differ by `EDGE` values.
+    One list may continue for up to `EDGE` values after the end of the other.
     """
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))
@@ -454,9 +477,10 @@ def _number(cdr: bytes | memoryview) -> float:
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
-    """Compare the impacts that both analyses detected in the scans of `span`, which both have received.
+    """Compare the impacts that both analyses detected between the two scan indexes of `span`, inclusive.
 
-    Peaks are compared within `TOLERANCE`, because the state of the filter depends on where each side began.
+    Both analyses have received all scans of the span. Peaks are compared within `TOLERANCE`, because the state of the
+    filter depends on the scan at which each analysis began.
     """
     name = topics.IMPACTS.name
     if not run.holds(topics.IMPACTS):
@@ -486,7 +510,7 @@ def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, 
 
 
 def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
-    """Return each row of tables of impacts with the index of the nearest scan, in the order of scans."""
+    """Return each row of tables of impacts after the index of the scan nearest to its time, in the order of scans."""
     found = [
         (scan_index(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
         for table in tables
@@ -504,15 +528,25 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the stretches that the live analysis has not received: before its first row, and after lost blocks."""
+    """Return the series of scans that the live analysis has not received, according to its rows.
+
+    These are the scans before its first row, and after each row with the status of lost blocks those up to the next.
+    """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
 
 
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
-    """Return whether a row can be compared: the other analysis received all its scans, and knew the change it began at.
+    """Return whether the row of one analysis can be compared with the other analysis.
 
-    `own` and `other` are the stretches that this and the other analysis have not received; `others` are its rows.
+    The other analysis must have received all scans of the row, and the change at which the row begins. A row with the
+    status of lost blocks is never compared.
+
+    Args:
+        row: row of one analysis.
+        own: series of scans that the analysis of this row has not received.
+        other: series of scans that the other analysis has not received.
+        others: rows of the other analysis.
     """
     if row.lost_blocks or any(row.begin < blind.end and row.end > blind.begin for blind in other):
         return False
@@ -521,9 +555,16 @@ def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], other
 
 
 def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact: bool) -> tuple[str, bool]:
-    """Return the first difference between live and offline rows (empty if none), and whether all bits agree.
+    """Return the first difference between the rows of both analyses, and whether all bits agree.
 
-    Offline rows that end after scan `late` may be missing in the live ones. With `exact`, the last bits count, too.
+    Args:
+        live: rows of the live analysis.
+        ours: rows of the later analysis; those that end after scan `late` may be missing in the live ones.
+        late: index of a scan.
+        exact: whether different bits are a difference; otherwise differences within `TOLERANCE` are accepted.
+
+    Returns:
+        The difference as text, empty if there is none, and whether all compared rows are equal bit for bit.
     """
     identical = True
     for theirs, found in zip(live, ours, strict=False):
@@ -544,7 +585,7 @@ def _difference(live: Sequence[_Row], ours: Sequence[_Row], late: int, *, exact:
     if missing:
         at_s = missing[0].stamp_ns / NS_PER_S
         return (
-            f"the live analysis published nothing at {at_s:.9f} s, where this one has a row; perhaps it had ended",
+            f"the live analysis published nothing at {at_s:.9f} s, where this one has a row; it may have ended before",
             False,
         )
     return "", identical
@@ -556,9 +597,9 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 
 
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
-    """Return the first column in which two rows differ; empty if none does.
+    """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, the bits count; otherwise differences within `TOLERANCE` do not.
+    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

@@ -11,10 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Reader of recorded journals, including those of an earlier version of this package, which wrote them as tables.
+"""Reader of recorded journals, including those of an earlier version of this package, which wrote journals as tables.
 
 A row of such a table names a configuration value by the last 32 bytes of its name, and a text takes one row per 32
-bytes. Values unknown to this version are left out: such recordings can be shown and analysed, but not simulated again.
+bytes. Values that this version does not know are left out. Recordings with such a table can be shown and analysed, but
+not simulated again.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
 
 
 def entries(message: Message) -> list[JournalEntry]:
-    """Return the journal entries in a recorded message of `rig/journal`: a JSON line, or an old table.
+    """Return the journal entries in a recorded message of `rig/journal`: one from a JSON line, or all of an old table.
 
     Raises:
         ConfigError: the message is not a valid journal.

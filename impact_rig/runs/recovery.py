@@ -13,13 +13,14 @@
 # limitations under the License.
 """Recovery of the intact messages of a damaged run, as a new run with complete index and statistics.
 
-Only messages of chunks with a matching checksum are recovered, and only attachments and metadata with a matching
-checksum. So everything in the result is as it was recorded. Losses are listed, and counted as far as possible.
+By default only messages of chunks with a matching checksum are recovered, and only attachments and metadata with a
+matching checksum. Everything in the new run is therefore as it was recorded. Losses are listed, and counted as far as
+possible.
 
 A damaged file is read record by record (`DamagedFile`). A record is accepted only if its lengths agree with each other
-and with the file. Otherwise, the search continues at the next position that looks like a chunk, an attachment or
-metadata. The work is proportional to the size of the file, whatever it contains: the search never goes back, and it
-skips a chunk with damaged content.
+and with the size of the file. Otherwise, the search continues at the next position that looks like a chunk, an
+attachment or a metadata record. The work is proportional to the size of the file, whatever it contains: the search
+never goes back, and it does not search within a chunk whose content is damaged.
 """
 
 from __future__ import annotations
@@ -66,14 +67,15 @@ _RECORD_PATTERN = re.compile(
     re.DOTALL,
 )
 _PATTERN_BYTES = 64  # at least the longest possible match of the pattern
-# doubled until the next chunk is found: many damaged parts do not cause repeated reads of the same bytes
+# bytes that the search reads at once: few at first, so that many damaged parts do not cause repeated reads of the same
+# bytes; doubled until the next record is found
 _FIRST_WINDOW_BYTES = 4096
 _LAST_WINDOW_BYTES = 8 * 2**20
 
 
 @attrs.frozen
 class Found:
-    """Place of a structurally valid MCAP record: opcode, offset in the file, and length with its head [bytes]."""
+    """Position of a structurally valid MCAP record: opcode, offset in the file, and length with its head [bytes]."""
 
     opcode: int
     offset: int
@@ -82,9 +84,9 @@ class Found:
 
 @attrs.frozen
 class Damage:
-    """Part of a file that cannot be recovered: its offset and length [bytes], and the reason.
+    """Part of a file that cannot be recovered: name of the file, offset and length [bytes], and the reason.
 
-    With the length 0 the reason concerns something else, such as one topic or `metadata.yaml`.
+    A length of 0 means that the damage is no part of the file: for example, one topic or `metadata.yaml` is unusable.
     """
 
     file: str
@@ -128,7 +130,7 @@ class DamagedFile:
     def walk(self) -> Iterator[Found | Damage]:
         """Yield the valid records of the data section in file order, and the damaged parts between them.
 
-        It ends before the record that ends the data section, or at the end of the file.
+        The last one is that before the DataEnd record, or the last one of the file if there is no DataEnd record.
         """
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
@@ -242,7 +244,7 @@ ACCEPT = "--accept-unchecked"
 
 @attrs.define
 class _Blocks:
-    """Recovered blocks of scans of one rig, from which the duration of recovered and missing scans follows."""
+    """Recovered blocks of scans of one rig, for the durations of recovered and missing scans."""
 
     _found: list[tuple[int, int]] = attrs.field(factory=list)  # stamp [ns] and number of scans of each block
     _rate_hz: float | None = None
@@ -289,7 +291,7 @@ class FileReport:
 
     @property
     def missing_messages(self) -> int | None:
-        """Number of messages that the index counts and that were not recovered; None without an index."""
+        """Number of messages in the file, according to its index, that were not recovered; None without an index."""
         return None if self.expected is None else max(0, self.expected.message_count - self.messages)
 
     @property
@@ -299,7 +301,10 @@ class FileReport:
 
     @property
     def missing_s(self) -> float | None:
-        """Duration of the scans missing between, before and after the recovered ones [s]; None without an index."""
+        """Duration of the scans that are missing before, between and after the recovered ones [s of rig time].
+
+        Before and after, the duration follows from the first and last log time in the index; None without an index.
+        """
         if self.expected is None:
             return None
         if not self.messages:
@@ -332,14 +337,14 @@ class RecoverReport:
 
     @property
     def expected_messages(self) -> int | None:
-        """Number of messages in the undamaged run, as the indexes of its files count them; None if one has none."""
+        """Number of messages in the undamaged run, according to the indexes of its files; None if a file has none."""
         counts = [None if file.expected is None else file.expected.message_count for file in self.files]
         known = [count for count in counts if count is not None]
         return sum(known) if len(known) == len(counts) else None
 
     @property
     def missing_messages(self) -> int | None:
-        """Number of messages that the indexes count and that were not recovered; None if a file has no index."""
+        """Number of messages, according to the indexes of the files, not recovered; None if a file has no index."""
         return None if self.expected_messages is None else max(0, self.expected_messages - self.messages)
 
     @property
@@ -359,7 +364,7 @@ class RecoverReport:
         return found
 
     def note(self, damage: Damage) -> None:
-        """Add a damaged part to the counts of the report and its file, and to the list, which holds the first 1000."""
+        """Count a damaged part in this report and in that of its file, and list it if it is one of the first 1000."""
         self.damage_count += 1
         for file in self.files:
             if file.name == damage.file.removesuffix(TAIL_SUFFIX):
@@ -368,7 +373,7 @@ class RecoverReport:
             self.damages.append(damage)
 
     def heal(self, file: str, offset: int) -> None:
-        """Remove the damage that begins at `offset` from the report, because the tail holds its messages."""
+        """Remove the damage at `offset` of a file from the report, because the tail has the messages of that part."""
         for damage in self.damages:
             if (damage.file, damage.offset) == (file, offset):
                 self.damages.remove(damage)
@@ -384,14 +389,14 @@ RECORD_NAME = "impact_rig/recovered"  # metadata record of a recovered run
 
 @attrs.frozen
 class Recovered:
-    """Losses of a recovery, as the recovered run states them in a metadata record."""
+    """Losses of a recovery, which the new run contains as a metadata record."""
 
     source: str  # name of the damaged run
     damages: int  # number of damaged parts
     lost_bytes: int  # their size [bytes]
     missing_messages: int | None
-    """Number of messages in the index of the damaged run that were not recovered; None without an index."""
-    unfinished: bool  # whether the damaged run was never finished, so its intended content is unknown
+    """Number of messages, according to the index of the damaged run, that were not recovered; None without an index."""
+    unfinished: bool  # whether a file of the damaged run has no index, so that its original content is unknown
 
     @property
     def incomplete(self) -> bool:
@@ -406,9 +411,9 @@ class Recovered:
 
 
 def read_record(record: Mapping[str, str]) -> Recovered | None:
-    """Return the losses of a recovery from the metadata record `RECORD_NAME` of a run; None if the record is empty.
+    """Return the losses of a recovery from the content of the metadata record `RECORD_NAME` of a run.
 
-    A run without this record was not recovered.
+    None means that the content is empty: a run without this record was not written by a recovery.
 
     Raises:
         DamageError: the record is invalid.
@@ -424,9 +429,10 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
 
 
 def is_cut_short(run: Run) -> bool:
-    """Return whether a run was recovered from a recording that was never finished.
+    """Return whether a run was recovered from a recording that was never finished, so that its end may be incomplete.
 
-    Topics overtake each other on their way to a recorder, so messages that belong to the last scans may be lost.
+    A recorder may receive scans before messages of other topics that belong to the same time. If it was killed, those
+    messages may be missing at the end.
 
     Raises:
         DamageError: the record of the recovery is invalid.
@@ -436,13 +442,15 @@ def is_cut_short(run: Run) -> bool:
 
 
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
-    """Write every intact chunk of a damaged or unfinished run, and of its tail, to the new run directory `out`.
+    """Write the messages of every intact chunk of a damaged or unfinished run to the new run directory `out`.
+
+    The messages of an open chunk, which its tail contains, are written as well.
 
     Args:
         path: a run directory or an MCAP file; it is only read.
         out: the new run directory; must not contain a recording.
         accept_unchecked: whether to accept chunks, messages outside chunks, attachments and metadata without a
-            checksum, as rosbag2 writes by default: they may be wrong.
+            checksum, as rosbag2 writes them by default. Damage in them is not detected.
 
     Returns:
         The report: the counts of recovered and missing messages, and each damaged part with the reason.
@@ -500,7 +508,10 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
 
 
 def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> Recovered:
-    """Return the losses of this recovery plus those of an earlier one (None: none) that produced the damaged run."""
+    """Return the losses of this recovery, plus those of an earlier recovery that wrote the damaged run.
+
+    `earlier` is None if the damaged run was not written by a recovery.
+    """
     before = earlier or Recovered(source.name, 0, 0, 0, unfinished=False)
     missing, missed = report.missing_messages, before.missing_messages
     return Recovered(
@@ -513,7 +524,9 @@ def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> R
 
 
 def _files(path: Path, report: RecoverReport) -> list[Path]:
-    """Return the MCAP files to recover; if `metadata.yaml` cannot be used, all in its folder, noted in the report.
+    """Return the MCAP files to recover: those that `metadata.yaml` lists, or if that fails all files in the directory.
+
+    The report then lists the reason as a damage.
 
     Raises:
         RecordingError: there is no MCAP file.
@@ -550,11 +563,19 @@ _OWN_RECORDS = (
     TAIL_RECORD_NAME,
     digests.RECORD_NAME,
 )
-"""Names of the metadata records of this package, which carry a checksum of their own."""
+"""Names of the metadata records of this package; each carries a checksum under a key of its content."""
 
 
 class _Salvage:
-    """Recovery of one damaged file: the constructor reads topics, attachments and metadata, `messages` the messages."""
+    """Recovery of one damaged file: the constructor reads topics, attachments and metadata, `messages` the messages.
+
+    Args:
+        path: the damaged MCAP file, or a tail.
+        report: report to which damage is added.
+        accept_unchecked: as for `recover`.
+        figures: report of the file; None means a new one, which is added to `report`.
+        topics: topics that are already known, by channel id.
+    """
 
     def __init__(
         self,
@@ -569,7 +590,10 @@ class _Salvage:
         self.attachments: list[Attachment] = []
         self.metadata: dict[str, dict[str, str]] = {}  # records of other programs, by name
         self.follows: int | None = None
-        """Size of the recording when the chunk began whose messages this tail contains [bytes]; None if no tail."""
+        """Size that the recording had when the open chunk began that this tail contains [bytes].
+
+        It is None if the file is no tail, or a tail that does not state it.
+        """
         self.provenance: Provenance | None = None
         self.losses: dict[str, str] = {}
         self.recovered: Recovered | None = None
@@ -595,14 +619,14 @@ class _Salvage:
                     report.note(self._damage(found, reason))
 
     def introduce_topics(self, writer: RunWriter) -> None:
-        """Register all topics of this file known so far in the writer of the new run, in the order of channel ids."""
+        """Register the topics of this file known so far in the writer of the new run, in the order of channel ids."""
         for _, topic in sorted(self._topics.items()):
             self.introduce(topic, writer)
 
     def introduce(self, topic: TopicDescription, writer: RunWriter) -> bool:
         """Register a topic in the writer of the new run; return whether its messages can be written.
 
-        They cannot if the writer knows the topic with another type; then the report lists it as a damage.
+        They cannot if the topic is already registered with another type; the report then lists this as a damage.
         """
         try:
             writer.add_topic(topic)
@@ -616,7 +640,7 @@ class _Salvage:
     def messages(self) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield the messages of all intact chunks in file order, then those of the open chunk from the tail.
 
-        Messages outside chunks are among them only if unchecked ones are accepted.
+        Messages outside chunks, which carry no checksum, are included only with `accept_unchecked`.
         """
         last = -1  # offset of the last intact chunk
         newest: set[_Key] = set()  # messages in the last intact chunk
@@ -636,14 +660,15 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless its chunk was completed: then the last intact chunk has them.
+        """Yield the messages of the tail, unless the open chunk that it contains was completed in the recording.
 
-        The tail states the size of the recording when its chunk began, which shows whether the chunk was completed.
-        Without that, the tail is left out if the last intact chunk has its first message.
+        In that case the last intact chunk of the recording has the same messages. The tail states the size of the
+        recording when the open chunk began: the chunk was completed if an intact chunk begins there or later. If the
+        tail does not state it, the chunk counts as completed if the last intact chunk has the tail's first message.
 
         Args:
             last: offset of the last intact chunk of the recording.
-            newest: messages in that chunk.
+            newest: keys of the messages in that chunk.
         """
         tail = tail_of(self.path)
         try:
@@ -665,7 +690,7 @@ class _Salvage:
             self._report.note(Damage(tail.name, 0, 0, str(error)))
 
     def _chunk_from(self, follows: int) -> int:
-        """Return the offset of the first chunk from byte `follows` on, which was open; `follows` if there is none."""
+        """Return the offset of the first chunk, intact or not, from byte `follows` on; `follows` if there is none."""
         with DamagedFile(self.path) as file:
             for found in file.walk():
                 if found.offset >= follows and os.pread(file.fd, 1, found.offset) == bytes([records.CHUNK]):
@@ -689,9 +714,10 @@ class _Salvage:
         yield from known
 
     def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages in the content of a chunk, or in a record outside chunks, with topic, decompressed.
+        """Yield topic and message for each message in the records `content`, from a chunk or from outside chunks.
 
-        Messages of unknown channels are reported as damage.
+        A message that its recorder compressed is decompressed. Messages of unknown channels are left out; the report
+        lists them as a damage at `found`.
         """
         unknown = 0
         for message in records.messages(content, None):
@@ -726,7 +752,11 @@ class _Salvage:
             self._know(definition.id, TopicDescription.from_channel(definition, schema))
 
     def _know(self, channel_id: int, topic: TopicDescription) -> None:
-        """Keep the topic of a channel; the number of topics is limited."""
+        """Store the topic of a channel.
+
+        Raises:
+            BudgetError: there are too many topics.
+        """
         if channel_id not in self._topics:
             budget.allow("topics", len(self._topics) + 1, budget.TOPICS)
         self._topics[channel_id] = topic

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Structure of a recording: its checksums and digests, and whether index and statistics match its messages.
 
-A reader finds messages by the index. If a topic is missing in the index, it seems never to have been recorded, although
-the checksums of all chunks match. So index and messages are compared, record by record.
+A reader finds messages by the index. If an index lacks a topic, the topic seems never to have been recorded, although
+the checksums of all chunks match. Therefore index and messages are compared, record by record.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Checksums:
     chunks: int = 0
     checked_chunks: int = 0
     outside: int = 0  # number of files with messages outside chunks
-    checked_outside: int = 0  # number of those with a matching checksum of the data section
+    checked_outside: int = 0  # number of those files whose data section carries a checksum, which matches
     attachments: int = 0
     checked_attachments: int = 0
 
@@ -56,7 +56,7 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return how many parts carry a checksum, as a clause for the verdict of `info`; no checksum is wrong."""
+        """Return how many parts carry a checksum, as a clause for the verdict of `info` if all checksums match."""
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
         if not checked and parts:
@@ -70,10 +70,12 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Count the checksums of a recording; those of chunks and attachments are checked when they are read.
+    """Count the checksums of a recording, and check those of attachments and of data sections without chunks.
+
+    The checksums of chunks are only counted, because they are checked when the chunks are read.
 
     Raises:
-        RecordingError: the checksum of a data section does not match, or a file cannot be read.
+        RecordingError: the checksum of an attachment or data section does not match, or a file cannot be read.
     """
     found = Checksums()
     for source in run.sources:
@@ -127,7 +129,7 @@ class Examination:
 
 
 def examine(run: Run) -> Examination:
-    """Read every record of a recording, and compare all with its index, statistics, definitions and digests.
+    """Read every record of a recording, and compare it with the index, statistics, definitions and digests of its file.
 
     Raises:
         RecordingError: a part is damaged.
@@ -153,7 +155,7 @@ def examine(run: Run) -> Examination:
 
 
 def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str]:
-    """Yield the contradictions within a file, one sentence each; also add its topics and messages to `digest`."""
+    """Yield a sentence for each contradiction within a file; also add its topics and messages to `digest`."""
     for defined in source.summary.channels.values():
         digest.add_topic(defined, source.summary.schemas.get(defined.schema_id))
     counts: Counter[int] = Counter()

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Verification of a run: its recorded data equal those of a re-simulation, or the first difference is reported.
+"""Verification of a run: comparison of its recorded data with a re-simulation, up to the first difference.
 
 Everything that the rig publishes about itself is compared: scans, their true values, applied commands, the journal,
 calibration and configuration, and the readings in its monitors. Scans must be complete from the first recorded one on.
-A recorder subscribes to one topic after the other, so another message counts as missing only if messages of the same
-topic precede and follow it.
+A message of another topic counts as missing only if messages of the same topic precede and follow it, because a
+recorder subscribes to one topic after the other.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, first_scan_at, stamp_n
 _NO_JOURNAL = (ConfigError, CommandError, SimulationError)  # errors of an incomplete or impossible journal
 _NOT_COMPARED = {
     topics.CLOCK.name: "rig time, which the stamps contain",
-    topics.STREAM.name: "lead of a controller, which no sample depends on",
+    topics.STREAM.name: "time by which a controller is ahead, which no sample depends on",
     "analysis": "made by the analysis: `impact-rig analyze` compares it",
     "plot": "derived for plotters from tables that are compared",
     "stepped_sine": "made by an operator from the measurements",
     "client": "an input: the journal has its effect",
     "every node": "status reports of nodes",
 }
-"""Reason why a topic is not compared, by its name or publisher."""
+"""Reason why a topic is not compared, by the name of the topic or of its publisher."""
 _FAMILIES = {topics.envelope("", "").name.rstrip("/"): "plot", topics.spectrum("", "").name.rstrip("/"): "plot"}
 """Publishers of topics that exist once per channel, by the prefix of their names."""
 _FOREIGN = "it belongs to another rig"
@@ -79,7 +79,7 @@ NOT_CHECKED = (
     "packing of messages into chunks",
     "author of the digests: a program that changes a recording can renew them",
 )
-"""Aspects of a recording that `verify` does not check, as its report lists them."""
+"""Aspects of a recording with digests that `verify` does not check, as its report lists them."""
 NOT_CHECKED_WITHOUT_DIGESTS = (
     "commands and remarks of clients (the journal has their effects)",
     "what the analysis publishes (`impact-rig analyze` compares it)",
@@ -98,11 +98,12 @@ class Verification:
     """Result of verifying a run: whether a re-simulation gives the recorded data, and what was compared."""
 
     identical: bool | None  # True, False, or None if the run cannot be verified
-    scans: int  # number of scans compared
+    scans: int  # number of scans that were compared and agree
     reason: str = ""  # the first difference, or why the run cannot be verified; empty if identical
     topics: tuple[Compared, ...] = attrs.field(default=(), eq=False)
-    """Results topic by topic: what was compared, and what was left out and why."""
+    """Result for each topic: what was compared, and what was left out and why."""
     not_checked: tuple[str, ...] = attrs.field(default=NOT_CHECKED_WITHOUT_DIGESTS, eq=False)
+    """Aspects of the recording that were not checked, one clause each."""
 
     def __str__(self) -> str:
         if self.identical is None:
@@ -113,17 +114,17 @@ class Verification:
 
 
 def verify(run: Run) -> Verification:
-    """Re-simulate a run from its journal, and compare everything that the rig published.
+    """Simulate a run again from its journal, and compare everything that the rig published with the result.
 
-    Each start or reset in the run begins a journal, which is re-simulated separately.
+    Each start or reset of the rig in the run begins a new journal, which is simulated separately.
 
     Args:
         run: an open run.
 
     Returns:
-        The result. `identical` is true if every compared sample is equal bit for bit, false if not, and None if the run
-        cannot be verified. `reason` then says why, `scans` counts the scans compared, and `topics` has the result of
-        each topic. `str` describes the result in one line.
+        The result. `identical` is true if every compared value is equal bit for bit, false if not, and None if the run
+        cannot be verified. `reason` has the first difference, or says why the run cannot be verified. `scans` counts
+        the scans that agree, and `topics` has the result of each topic. `str` describes the result in one line.
 
     Raises:
         RecordingError: the run has no topic `daq/scan`, has several rigs of which none was chosen, or is damaged.
@@ -168,7 +169,10 @@ def verify(run: Run) -> Verification:
 
 
 def _complete_blocks(run: Run) -> tuple[int, int]:
-    """Return how many blocks of a killed recording certainly have all other messages, and how many follow them."""
+    """Return the number of blocks of a killed recording of whose time no other message can be missing, and of the rest.
+
+    The rest are the last blocks: messages of other topics may arrive later than scans, by `lag_s`.
+    """
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
     before_end = stamps_ns[-1:] - stamps_ns
@@ -177,12 +181,13 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
 
 
 def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None) -> Verification:
-    """Re-simulate a run and compare all that the rig published; changes after the recording count as differences.
+    """Simulate a run again and compare all that the rig published; changes after the recording count as differences.
 
     Args:
         run: an open run.
         changes: changes made after the recording, one sentence each.
-        blocks: number of blocks of scans to compare, with all messages recorded before their end; None means all.
+        blocks: number of blocks of scans to compare, from the first one on, with the other messages of their time; None
+            means all.
     """
     try:
         journals, waveforms, first, foreign = _journals(run)
@@ -190,7 +195,7 @@ def _verify_content(run: Run, changes: Sequence[str], blocks: int | None = None)
         return Verification(False if changes else None, 0, changes[0] if changes else str(error))
     if not journals:
         return Verification(
-            False if changes else None, 0, changes[0] if changes else f"{topics.JOURNAL.name} has no message"
+            False if changes else None, 0, changes[0] if changes else f"the run has no message on {topics.JOURNAL.name}"
         )
     if blocks is not None:
         last = max((number for number, _ in _assigned(_scans(run, blocks), journals, first)), default=first)
@@ -227,11 +232,16 @@ def _verify_all(
 
 
 def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int, int]:
-    """Return the journals of a run, the messages of shaker/waveform in each, the first scan's journal, and a count.
+    """Return the journals of a run, the messages on `shaker/waveform` during each, and two numbers.
 
-    A journal lasts from its start or reset to the next; entries before the first one form a journal without a
-    beginning. The third value is the index of the journal to which the first scan belongs. The last one counts the
-    skipped messages on `rig/journal` that are no entries; if this rig had sent them, entries would be missing.
+    A journal begins with the entry of a start or reset and lasts to the next one. Entries before the first start or
+    reset form a journal of their own. The first number is the index of the journal to which the first scan belongs. The
+    second one counts the messages on `rig/journal` that are no journal entries; they are skipped. If this rig had sent
+    them, the comparison would find that entries are missing.
+
+    Raises:
+        RecordingError: the run has no topic `rig/journal`, its journal is a table of an earlier version, or no message
+            on the topic is a journal entry.
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
@@ -262,15 +272,16 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
             found.append([])
         found[-1].append(entry)
     if problem is not None and not found:
-        raise RecordingError(f"no message on {journal} is a journal entry; of the first: {problem}")
+        raise RecordingError(f"no message on {journal} is a journal entry; the first one is invalid: {problem}")
     return found, _overlapping(found, sent), max(0, starts - 1), foreign
 
 
 def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> list[list[Sent]]:
-    """Return the messages of shaker/waveform by journal; a message near a reset may be listed in two journals.
+    """Return the messages on `shaker/waveform` by journal; a message near a reset may be in the lists of two journals.
 
-    Stamps continue across a reset. A block recorded after it with an earlier stamp belongs to the journal before, and
-    one recorded before it with a later stamp may belong to the journal after it.
+    `sent` has the messages by the journal during which they were recorded, but stamps continue across a reset. A
+    message that was recorded after a reset and has an earlier stamp also belongs to the journal before it. A message
+    that was recorded before a reset and has a later stamp may also belong to the journal after it.
     """
     found = [list(blocks) for blocks in sent]
     for number, journal in enumerate(journals[1:], start=1):
@@ -302,10 +313,17 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
 def _verify(
     journal: list[JournalEntry], scans: Iterator[Table], others: _OtherTopics, following: JournalEntry | None
 ) -> tuple[Verification, Block | None]:
-    """Compare the recorded blocks of one journal with its re-simulation, and all other messages of their time.
+    """Compare the recorded blocks of one journal, and all other messages of their time, with its re-simulation.
 
-    If a reset ends the journal (it is the begin of `following`), also return the first block of the re-simulation that
-    was not recorded; otherwise None.
+    Args:
+        journal: entries of the journal.
+        scans: recorded blocks that belong to the journal.
+        others: comparison of the other topics.
+        following: first entry of the next journal; None for the last journal.
+
+    Returns:
+        The result, and a block if a reset ends the journal: the first block of the re-simulation after the recorded
+        ones. The block is None if no reset ends the journal, or if the comparison ended with a difference.
     """
     compared = 0
     try:
@@ -337,12 +355,18 @@ def _verify(
 
 
 def _reset_ns(following: JournalEntry | None) -> int | None:
-    """Return the stamp of the reset that ends a journal, from the entry that begins the next; None if no reset does."""
+    """Return the stamp of the reset that ends a journal [ns]; None if no reset ends it.
+
+    `following` is the first entry of the next journal: a reset, or the start of another rig. None: it is the last one.
+    """
     return following.stamp_ns if following is not None and following.kind is InputKind.RESET else None
 
 
 def _next(again: Resimulation) -> Block | None:
-    """Return the next block of a re-simulation; None if the recording lacks inputs for it, as it may after a reset."""
+    """Return the next block of a re-simulation; None if the recording lacks an input that the simulation needs for it.
+
+    This can happen near a reset, where inputs of the time after it need not be recorded.
+    """
     try:
         return next(again.blocks)
     except ConfigError:
@@ -350,9 +374,11 @@ def _next(again: Resimulation) -> Block | None:
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
-    """Return whether a re-simulated block is missing in the recording: the rig must have published it before a reset.
+    """Return whether the rig must have published a re-simulated block before a reset, at `reset_ns`.
 
-    The rig simulates whole ticks. A reset drops the scans not yet assembled into a block: less than a tick.
+    If the block is not recorded, it is then missing. The rig simulates whole ticks of 10 ms, and a reset drops scans
+    that do not fill a block yet. A block was therefore published if the tick in which it ends was simulated before the
+    reset. A block that a fault withholds is never missing.
     """
     on_grid = (block.end_ns - block.scan.stamp_ns) % COMMAND_GRID_NS == 0
     return not block.lost and block.end_ns + (0 if on_grid else COMMAND_GRID_NS) <= reset_ns
@@ -363,7 +389,10 @@ def _missing(block: Block, compared: int) -> Verification:
 
 
 def _difference(logged: Table, again: Table) -> str:
-    """Return the first difference of a recorded and a re-simulated table: stamp, row, both values; empty if none."""
+    """Return the first difference between a recorded and a re-simulated table as text; empty if they are equal.
+
+    The text has the stamp, the row, the column and both values.
+    """
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
             f": logged {len(logged.rows)} rows at {_s(logged.stamp_ns)} s, "
@@ -382,7 +411,7 @@ def _difference(logged: Table, again: Table) -> str:
 
 
 def _bits(column: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return the bits of a column as integers: NaN equals NaN, and 0.0 differs from -0.0."""
+    """Return the bits of a column as integers, so that NaN equals NaN, and 0.0 differs from -0.0; text is unchanged."""
     packed = np.ascontiguousarray(column)
     return packed if packed.dtype.kind == "S" else packed.view(f"u{packed.dtype.itemsize}")
 
@@ -392,11 +421,16 @@ def _s(time_ns: int) -> str:
 
 
 class _Recorded:
-    """Comparison of one topic: its recorded messages, in order, with those of the re-simulation.
+    """Comparison of the recorded messages of one topic, in recorded order, with those of the re-simulation.
+
+    The attribute `coming` is stamp [ns] and content of the next recorded message; None if there is none.
 
     Args:
-        read: returns stamp and content of a message.
-        differ: returns the first difference of two contents, recorded and re-simulated, or an empty text.
+        run: an open run.
+        topic: topic to compare, which need not be recorded.
+        read: function that returns stamp [ns] and content of a message.
+        differ: function that returns the first difference between a recorded and a re-simulated content, or an empty
+            text.
     """
 
     def __init__(
@@ -416,12 +450,13 @@ class _Recorded:
     def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
         """Begin to compare the messages of the next journal.
 
-        If it starts before the previous one ended, the rig was restarted; late messages of the previous are left out.
+        If the journal starts before the previous one ended, the rig was restarted. Remaining messages of the previous
+        rig, with stamps from its end on, are then left out.
 
         Args:
             start_ns: stamp of the first scan of the journal [ns].
             ended_ns: end of the scans of the previous journal [ns].
-            is_restarted: whether this journal ends with a restart of the rig, after which stamps go back.
+            is_restarted: whether a start of another rig, not a reset, follows this journal; stamps may then go back.
         """
         if start_ns < ended_ns:
             while self.coming is not None and self.coming[0] >= ended_ns:
@@ -430,13 +465,21 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no recorded message of this journal is left: none at all, or the next is of a later rig."""
+        """Return whether no recorded message of this journal is left, because the next one belongs to a later rig.
+
+        It is also True if no message is left at all.
+        """
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
-        """Compare the next recorded message with a re-simulated one of this stamp; a difference is kept for the result.
+        """Compare the next recorded message with a re-simulated message; a difference is kept for the result.
 
-        With `optional`, the message may be missing in the recording.
+        Earlier recorded messages count as differences, or before the first compared message as left out.
+
+        Args:
+            stamp_ns: stamp of the re-simulated message [ns].
+            content: content of the re-simulated message.
+            optional: whether the message may be missing in the recording, which is then no difference.
         """
         self._leave_out_before(stamp_ns)
         if optional and (
@@ -452,18 +495,21 @@ class _Recorded:
             self.compare(content)
 
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
-        """Yield the stamp of each recorded message from `first_ns` to before `end_ns`; then call `compare` for it."""
+        """Yield the stamp of each recorded message from `first_ns` to before `end_ns` [ns], or up to a difference.
+
+        The caller must call `compare` for each of them before it asks for the next.
+        """
         self._leave_out_before(first_ns)
         while self.coming is not None and not self._has_ended() and self.coming[0] < end_ns and not self.difference:
             yield self.coming[0]
 
     def compare(self, content: Any) -> None:
-        """Compare the next recorded message with re-simulated content; None: the re-simulation published no message."""
+        """Compare the next recorded message with re-simulated content; None means that there should be no message."""
         assert self.coming is not None
         stamp, recorded = self.coming
         difference = "" if content is None else self._differ(recorded, content)
         if content is None:
-            self._differs(f"at {_s(stamp)} s: a message is recorded, and this journal does not lead to it")
+            self._differs(f"at {_s(stamp)} s: a message is recorded that the re-simulation does not publish")
         elif difference:
             self._differs(
                 difference if difference.startswith((" at", " in", ":")) else f" at {_s(stamp)} s: {difference}"
@@ -474,11 +520,13 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
-        """End the journal: recorded messages before `end_ns` that were not compared are reported as differences.
+        """End the journal: a recorded message before `end_ns` that was not compared counts as a difference.
+
+        So does a re-simulated message that was not recorded, if its stamp is more than `lag_ns` before the end.
 
         Args:
             end_ns: end of the scans of the journal [ns].
-            restarted: whether another rig follows, with stamps that go back; the next messages may belong to it.
+            restarted: whether the start of another rig follows, to which the next messages may belong.
             lag_ns: duration before the end whose messages may not have reached the recorder [ns].
         """
         if not restarted and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:
@@ -492,7 +540,10 @@ class _Recorded:
         self._messages.close()
 
     def compared(self, present: bool) -> Compared:
-        """Return the result of comparing this topic; `present` tells whether it was recorded."""
+        """Return the result of comparing this topic; messages that are left are counted as left out.
+
+        `present` states whether the topic was recorded.
+        """
         while self.coming is not None:
             self._outside += 1
             self._step()
@@ -527,8 +578,9 @@ class _OtherTopics:
     """Comparison of all topics of a run except `daq/scan` with the re-simulation of its journals.
 
     Args:
-        foreign: number of skipped messages on `rig/journal`.
-        waveforms: each journal with its messages of `shaker/waveform`.
+        run: an open run.
+        foreign: number of messages on `rig/journal` that are no journal entries.
+        waveforms: each journal with its messages on `shaker/waveform`.
         blocks: number of blocks of scans to compare; None means all.
     """
 
@@ -558,12 +610,12 @@ class _OtherTopics:
         self._end_ns = 0
 
     def begin(self, journal: list[JournalEntry], following: JournalEntry | None) -> Resimulation:
-        """Start and return the re-simulation of a journal; the first entry of the `following` journal ends it."""
+        """Start and return the re-simulation of a journal; `following` is the first entry of the next one, or None."""
         every_scan = self._truth.coming is not None or self._joints.coming is not None
         entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
             self._again = Resimulation(journal, from_flat(RigConfig(), {"output.truth_scan": every_scan}), sent)
-        except ConfigError:  # the truth of such long blocks does not fit into a message
+        except ConfigError:  # with so many scans in a block, the truth of every scan does not fit into a message
             self._again = Resimulation(journal, None, sent)
         self._entries: list[JournalEntry] = entries
         self._made: list[JournalEntry] = []
@@ -576,7 +628,10 @@ class _OtherTopics:
         return self._again
 
     def compare(self, block: Block) -> None:
-        """Compare all recorded messages of the time of a re-simulated block; the block itself may not be recorded."""
+        """Compare all recorded messages of the time of a re-simulated block, except its scans.
+
+        The scans of the block need not be recorded.
+        """
         self._drain()
         self._end_ns = block.end_ns
         for recorded, table in ((self._impacts, block.impacts), (self._faults, block.faults)):
@@ -594,9 +649,10 @@ class _OtherTopics:
         self._compare_monitors(block)
 
     def _compare_monitors(self, block: Block) -> None:
-        """Compare the monitor messages of the time of a re-simulated block.
+        """Filter the scans of a re-simulated block as the monitors do, and compare the monitor messages that result.
 
-        Their rate is not part of a journal, so messages of every configured rate are accepted.
+        The journal does not contain the rate of monitor messages, so messages at the rates of all recorded
+        configurations are accepted.
         """
         rig = self._again.rig
         if not self._filters:
@@ -612,7 +668,7 @@ class _OtherTopics:
         self._compare_smoothed(end - self._filters[-1].half)
 
     def _compare_smoothed(self, end: float = math.inf) -> None:
-        """Compare the monitor messages of the filtered scans before the scan index `end`."""
+        """Compare the monitor messages at the scans before index `end` with the filtered scans, and forget these."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -623,9 +679,11 @@ class _OtherTopics:
                     monitor.compare(stamp, made, fitted, self._again.calibrations)
 
     def end(self, reset_ns: int | None, *, last: bool) -> None:
-        """Compare what is left of a journal at its end: `reset_ns` is the stamp of the reset that ends it, or None.
+        """Compare the remaining messages of a journal at its end.
 
-        With `last`, the recording ends with this journal, so its last messages may be missing.
+        Args:
+            reset_ns: stamp of the reset that ends the journal [ns]; None if no reset ends it.
+            last: whether the recording ends with this journal, so that its last messages may be missing.
         """
         if reset_ns is not None:
             self._again.finish(reset_ns)
@@ -650,7 +708,7 @@ class _OtherTopics:
             self._descriptions.add(robot_description(config))
 
     def compared(self) -> Iterator[Compared]:
-        """Yield the result of each topic of the run except the scans: compared, or left out and why."""
+        """Yield the result of each topic of the run except the scans: what was compared, or why it was left out."""
         yield self._journal
         known = {topics.SCAN.name, topics.JOURNAL.name}
         for recorded in self._ordered():
@@ -681,7 +739,10 @@ class _OtherTopics:
         return *tables, *(one.recorded for one in self._monitors)
 
     def _drain(self) -> None:
-        """Compare the effects of inputs on the re-simulation since the last call: drive, calibrations and journal."""
+        """Compare the applied commands and calibrations that the re-simulation has made since the last call.
+
+        Also keep its new journal entries for `_compare_journal`.
+        """
         rig = self._again.rig
         applied = rig.take_applied()
         for table, after in itertools.zip_longest(applied, applied[1:]):
@@ -694,10 +755,12 @@ class _OtherTopics:
         self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the recorded journal entries with the re-simulated ones, except the first, which starts both.
+        """Compare the recorded entries of a journal with those of the re-simulation, which begins with the first one.
 
-        `whole` tells whether a reset ended the journal, so that all its entries count. An entry may be missing in the
-        recording if it is younger than `lag_ns` before the end.
+        Args:
+            whole: whether a reset ended the journal, so that the re-simulation must have made all recorded entries;
+                otherwise only those before the end of the scans.
+            lag_ns: duration before the end whose entries may not have reached the recorder [ns].
         """
         end = self._end_ns
         # a planned fault is compared only if the re-simulation has reached its scan
@@ -715,7 +778,7 @@ class _OtherTopics:
         if reached and reached[-1].sequence >= len(self._made):
             extra = next(e for e in reached if e.sequence >= len(self._made))
             self._journal_differs(
-                f"entry {extra.sequence} at {_s(extra.stamp_ns)} s: this journal does not lead to {_quoted(extra)}"
+                f"entry {extra.sequence} at {_s(extra.stamp_ns)} s: the re-simulation does not make {_quoted(extra)}"
             )
         elif len(self._made) > len(self._entries) and self._made[len(self._entries)].stamp_ns < end - lag_ns:
             missing = self._made[len(self._entries)]
@@ -727,7 +790,7 @@ class _OtherTopics:
         self._journal = attrs.evolve(self._journal, difference=self._journal.difference or what)
 
     def _compare_configuration(self) -> Compared:
-        """Compare each recorded configuration (topic, attachment) with the configurations that the journals lead to."""
+        """Compare each recorded configuration (topic and attachment) with the configurations of the re-simulations."""
         name = topics.CONFIGURATION.name
         recorded = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
@@ -752,7 +815,10 @@ class _OtherTopics:
         return Compared(name, count, left_out=rest, what="texts")
 
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
-        """Return how many of the configurations that the journals lead to are among published ones, in this order."""
+        """Return the number of configurations of the re-simulations that occur in `published`, in the same order.
+
+        They are counted from the first one on; repetitions of a configuration count once.
+        """
         wanted = [one for one, _ in itertools.groupby(self._configurations)]
         count = 0
         for config in published:
@@ -760,7 +826,10 @@ class _OtherTopics:
         return count
 
     def _unlike(self, config: dict[str, object]) -> str:
-        """Return a clause that names a value of a recorded configuration which the journals do not explain."""
+        """Return a clause that names the first value in which a recorded configuration differs from the re-simulations.
+
+        It is compared with the configuration that differs in the fewest values.
+        """
         if not self._configurations:
             return "no journal contains its value"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
@@ -779,8 +848,8 @@ class _OtherTopics:
 class _Monitor:
     """Comparison of the monitor of one channel: its recorded messages with the filtered scans of the re-simulation.
 
-    A filter restarts when the rate of the monitors changes and uses only later scans. The first messages of a
-    contiguous series are therefore not compared.
+    When the rate of the monitors changes, the rig restarts the filter, which then uses only later scans. The first
+    messages of a series without gaps are therefore not compared.
     """
 
     def __init__(self, run: Run, channel: str) -> None:
@@ -800,13 +869,14 @@ class _Monitor:
     def compare(
         self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
-        """Compare the recorded monitor message of a time, if there is one.
+        """Compare the recorded monitor message with a stamp, if there is one.
 
         Args:
-            stamp_ns: time of the message [ns].
-            made: possible filtered scans of that time, each with its number of scans per monitor period.
-            fitted: the instruments of all configurations so far.
-            calibrations: `daq/info` of all calibrations so far.
+            stamp_ns: stamp of the message [ns].
+            made: filtered scans of that time, one for each possible number of scans per monitor period, which precedes
+                it.
+            fitted: instruments of all configurations so far.
+            calibrations: tables of `daq/info` of all calibrations so far.
         """
         is_recorded = False
         for _ in self.recorded.before(stamp_ns + 1, stamp_ns):
@@ -817,9 +887,10 @@ class _Monitor:
             self.following[step] = self.following[step] + 1 if is_recorded else 0
 
     def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
-        """Return a difference of a recorded monitor message from what was allowed at its time; empty if it is allowed.
+        """Return a difference of a recorded monitor message from the possible ones; empty if it is one of them.
 
-        `made` are the possible filtered scans, the instruments and the calibrations so far; empty: not compared.
+        `made` has the possible filtered scans, instruments and calibrations. If `made` is empty, the message is not
+        compared, and the result is empty.
         """
         if not made:
             return ""
@@ -847,7 +918,10 @@ def _monitor_rates_hz(run: Run) -> set[float]:
 
 
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
-    """Return the first field of a monitor message that differs from the wanted one, with both; empty if none does."""
+    """Return the first field of a recorded monitor message that differs, with both values; empty if none does.
+
+    `wanted` has the re-simulated values; a difference smaller than the precision of 32-bit floats does not count.
+    """
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
         if ours.shape == theirs.shape:
@@ -864,7 +938,10 @@ def _stamped(table: Table) -> tuple[int, Table]:
 
 
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
-    """Return the first quantity of a recorded joint state that differs from the truth, with both; empty if none."""
+    """Return the first quantity of a recorded joint state that differs from the true motion, with both values.
+
+    The text is empty if none differs.
+    """
     for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)
         if len(found) != len(true) or (_bits(found) != _bits(true)).any():
@@ -875,7 +952,7 @@ def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) ->
 def _deciding(config: RigConfig) -> dict[str, object]:
     """Return the values of a configuration that determine samples, by full name, except the planned faults.
 
-    Those are in the journal once they are injected.
+    The journal contains a planned fault as soon as it is injected.
     """
     return {name: value for name, value in deciding_samples(to_flat(config)).items() if name != PLANNED}
 

@@ -134,7 +134,7 @@ def test_received_messages_that_are_not_in_the_file_are_reported_as_missing(reco
         fill(writer, 5)
         account.take(NOTES_TOPIC.name, 2)
     assert info(writer.directory).verdict.endswith(
-        f"messages that were received are not in it: 1 of {NOTES_TOPIC.name}"
+        f"messages that the recorder received are not in the files: 1 of {NOTES_TOPIC.name}"
     )
 
 

@@ -278,8 +278,8 @@ def test_a_removed_message_with_a_doubled_neighbour_is_found_by_sequence_numbers
     assert rewritten(writer.directory, tmp_path / "same", lambda messages: messages).verdict.startswith("whole: ")
     found = rewritten(writer.directory, tmp_path / "out", double)
     assert not found.intact
-    assert f"messages that were received are not in it: 1 of {topic}" in found.verdict
-    assert f"messages are in it twice: 1 of {topic}" in found.verdict
+    assert f"messages that the recorder received are not in the files: 1 of {topic}" in found.verdict
+    assert f"messages are in the files twice: 1 of {topic}" in found.verdict
 
 
 def test_overlapping_numbers_of_several_publishers_are_not_repeated_messages(record):

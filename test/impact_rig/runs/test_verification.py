@@ -394,7 +394,7 @@ def test_a_missing_or_invented_message_is_named(recorded, tmp_path: Path, topic:
     found = verdict(tmp_path / "more", [*recorded[:place], made_up, *recorded[place:]])
     assert found.identical is False
     assert found.reason.startswith(f"{topic}: at ")
-    assert "this journal does not lead to it" in found.reason
+    assert "a message is recorded that the re-simulation does not publish" in found.reason
     if topic not in ("truth/scan", "truth/joint_states"):  # the journal does not determine their number
         found = verdict(tmp_path / "less", [*recorded[:place], *recorded[place + 1 :]])
         assert found.identical is False
