@@ -17,7 +17,7 @@ Use them directly, or through the fixtures `virtual_rig`, `virtual_rig_with_node
 plugin:
 
 - `LocalRig`: a rig in the test's process, without ROS; the pipeline is a function of blocks.
-- `LocalRigWithNodes`: such a rig that also runs ROS nodes, in an order of callbacks that a scenario decides.
+- `LocalRigWithNodes`: such a rig that also runs ROS nodes, whose callbacks run in an order that a scenario decides.
 - `RosRig`: a rig on its own ROS domain, in lockstep with the nodes under test.
 - `Fault`: a fault of the instruments at exact samples.
 - `Golden`: comparison with a run, or with numbers, that were checked once.

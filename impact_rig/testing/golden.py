@@ -47,7 +47,8 @@ class Golden:
 
     Args:
         directory: directory of the data, next to the test file.
-        update: whether to replace the data by the present results instead of comparing (`--rig-update-golden`).
+        update: whether `run` and `values` replace the data by the present results instead of comparing with them; the
+            option `--rig-update-golden` of pytest.
     """
 
     def __init__(self, directory: Path, *, update: bool) -> None:
@@ -62,11 +63,11 @@ class Golden:
         Args:
             rig: rig that the test has run.
             topics: topics to compare, which carry tables.
-            tolerances: largest absolute difference by column, which each of the topics must have; all other columns
-                must agree bit for bit.
+            tolerances: largest absolute difference, by name of a column that each of the topics must have; all other
+                columns must agree bit for bit.
 
         Raises:
-            AssertionError: the first difference, or that there is no golden run yet.
+            AssertionError: a table differs (the message has the first difference), or there is no golden run yet.
             ConfigError: the rig keeps no tables of a topic, or a topic lacks a column of `tolerances`.
         """
         where = self.directory / "run"
@@ -91,11 +92,12 @@ class Golden:
 
         Args:
             found: the numbers by name.
-            rel: part of a golden value by which a number may differ from it, in addition to `abs`.
-            abs: difference that is allowed for all numbers; NaN equals NaN.
+            rel: fraction of a golden value by which a number may differ from it, in addition to `abs`.
+            abs: absolute difference that is allowed for every number; NaN equals NaN.
 
         Raises:
-            AssertionError: all differences, names that only one side has among them; or there are no golden values yet.
+            AssertionError: numbers differ, or only one side has a name (the message lists all of them); or there are no
+                golden values yet.
         """
         where = self.directory / "values.json"
         numbers = {name: float(value) for name, value in found.items()}
@@ -121,13 +123,13 @@ class Golden:
 
 
 def first_difference(found: Iterable[Table], expected: Iterable[Table], tolerances: Mapping[str, float]) -> str:
-    """Return a description of the first difference of two streams of tables; an empty text if there is none.
+    """Return a description of the first difference between two series of tables; an empty text if there is none.
 
     Args:
         found: tables to check.
         expected: correct tables.
-        tolerances: largest absolute difference by column, where NaN equals NaN. Every other column must agree bit for
-            bit.
+        tolerances: largest absolute difference, by name of a column; NaN equals NaN. Every other column must agree bit
+            for bit.
 
     Raises:
         ConfigError: `tolerances` names a column that the tables do not have.

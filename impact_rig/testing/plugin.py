@@ -13,8 +13,8 @@
 # limitations under the License.
 """Pytest plugin: fixtures that start and end rigs, and keep the run of every failed test as MCAP.
 
-With `scope="module"` or `scope="session"`, `ros_rig` starts a rig once and resets it for each test of the scope that
-starts it with the same arguments. Rigs in the test's process are always new.
+With `scope="module"` or `scope="session"`, `ros_rig` starts a rig for the first test of that module or session, and
+resets it for each later test that asks for a rig with the same arguments. Rigs in the test's process are always new.
 
 Pytest loads it through its entry point wherever the package is installed, so it imports neither rclpy nor numba; the
 names of `testing` import them when a fixture is used.
@@ -95,7 +95,7 @@ def virtual_rig_with_nodes(request: pytest.FixtureRequest) -> Iterator[Callable[
 def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.RosRig]]:
     """Return a function that starts a rig on its own ROS domain: `ros_rig({"barriers.gap_m": 0.004})`.
 
-    The rig is recorded, so that the run of a failed test can be kept, unless the argument `record` says otherwise.
+    The rig is recorded, so that the run of a failed test can be kept, unless the test passes `record=False`.
     """
     yield from _starting(request, lambda *args, **kwargs: testing.RosRig(*args, **{"record": True, **kwargs}))
 
@@ -104,7 +104,7 @@ def ros_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., testing.Ro
 def golden(request: pytest.FixtureRequest) -> testing.Golden:
     """Return the golden data of this test; see `Golden`.
 
-    They are next to the test file, in a folder named after file and test: `golden/test_file/test_name`.
+    Their folder is next to the test file, and named after file and test: `golden/test_file/test_name`.
     """
     directory = request.path.parent / "golden" / request.path.stem / _UNSAFE.sub("_", request.node.name)
     return testing.Golden(directory, update=bool(request.config.getoption("--rig-update-golden")))
@@ -125,9 +125,10 @@ def pytest_runtest_makereport(
 
 
 def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
-    """Save the run of a failed test's rig, and return lines for pytest's report; an error here becomes such a line.
+    """Save the run of a failed test's rig, and return lines for pytest's report.
 
-    The same information is in properties of the test, which a JUnit file contains.
+    If the run cannot be saved, or the rig gives no report, a line has the error. The same information is added to the
+    properties of the test, which a JUnit file contains.
     """
     try:
         folder = rig.save(directory / rig.name)
@@ -156,8 +157,8 @@ def _directory(item: pytest.Item) -> Path:
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
     """Yield the function of a fixture, which starts a rig with `make` under a name that is unique in the test.
 
-    The rigs are remembered for the report of a failure. After the test they are closed, except those that later tests
-    of a wider scope use again.
+    If the test fails, the runs of its rigs are kept. After the test the rigs are closed, except those with a wider
+    scope, which later tests use again.
     """
     rigs = request.node.stash.setdefault(_RIGS, [])
     shared: list[testing.RigDriver] = []
@@ -188,11 +189,11 @@ def _reset_or_start(
 ) -> R:
     """Return a rig that later tests of the scope can use again.
 
-    It is the one that an earlier test started with the same arguments, reset to its first configuration, or else a new
-    one. A rig in this process starts in milliseconds and is always new.
+    If an earlier test of the scope has started a rig with the same arguments, it is that rig, reset to its first
+    configuration. Otherwise it is a new one. A rig in this process starts in milliseconds and is always new.
 
     Raises:
-        pytest.UsageError: unknown scope.
+        pytest.UsageError: the scope is neither `module` nor `session`.
     """
     nodes = {"module": request.node.getparent(pytest.Module), "session": request.session}
     if scope not in nodes:

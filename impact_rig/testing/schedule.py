@@ -15,9 +15,9 @@
 
 `LocalRigWithNodes.host` creates a node with real subscriptions, timers, parameters and clock. It runs the node's
 callbacks one by one in rig time, as a single-threaded executor does. Messages pass through a model of the transport
-instead of the middleware: queues of the subscription's depth, qualities of service that must match, and latched
-messages for subscribers that join late. So the order of callbacks depends only on the scenario. The actions of a
-scenario are in `impact_rig.testing.strategies`.
+instead of the middleware. The model has queues of each subscription's depth, compares the qualities of service of
+publisher and subscription, and gives latched messages to subscribers that join late. The order of callbacks therefore
+depends only on the scenario. The actions of a scenario are in `impact_rig.testing.strategies`.
 """
 
 from __future__ import annotations
@@ -68,20 +68,23 @@ from impact_rig.simtime import NS_PER_S, first_scan_at, stamp_ns
 TIMERS, MESSAGES = "timers", "messages"
 """Names for `hold` and `prefer` that are not topics: all timers of the nodes, and the messages of all topics."""
 KEPT_CALLBACKS = 20_000
-MOST_CALLBACKS = 10_000  # of one block; more are nodes that answer each other without end
+MOST_CALLBACKS = 10_000  # limit at one instant of rig time: nodes that exceed it answer each other without end
 TICK_S, IDLE_S, BUSY_S = 0.2, 1.0, 20.0
-"""A callback blocks if it uses no processor time for `IDLE_S`, or does not return within `BUSY_S`."""
+"""A callback is blocked if it uses no processor time for `IDLE_S`, or does not return within `BUSY_S` of wall time.
+
+This is checked every `TICK_S`.
+"""
 IDLE_CPU_S = 0.002  # processor time per tick of a thread that waits
 INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Callback that does not return: it waits while no other callback of its executor can run, or computes for 20 s."""
+    """Error of a callback that does not return: it waits although no other callback can run, or runs for over 20 s."""
 
 
 @attrs.define(eq=False)
 class _Inbox:
-    """Queue of one subscription, oldest first: number of the publication, and message as CDR bytes."""
+    """Queue of the messages of one subscription, oldest first: number of the publication, and CDR bytes."""
 
     subscription: Any
     topic: str
@@ -93,7 +96,7 @@ class _Inbox:
         return bool(self.subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT)
 
     def put(self, number: int, data: bytes) -> bool:
-        """Append the message with this number; return whether the oldest one was lost because the queue is full."""
+        """Append the message with this number; return whether the queue was full, so that the oldest one is lost."""
         qos = self.subscription.qos_profile
         is_full = qos.history != HistoryPolicy.KEEP_ALL and len(self.queue) >= max(1, qos.depth)
         if is_full:
@@ -116,7 +119,10 @@ class _Hosted:
 
 @attrs.frozen(order=True)
 class _Ready:
-    """Callback that can run now. The smallest one runs first: preferred ones, messages as published, timers."""
+    """Callback that can run now; the smallest one runs first.
+
+    Preferred callbacks come first, then messages in the order of their publication, then timers.
+    """
 
     is_not_first: bool
     is_timer: bool
@@ -128,9 +134,9 @@ class _Ready:
 
 @attrs.define
 class _Latched:
-    """Last messages of a latched topic, which late subscribers receive; those that are best effort receive none.
+    """Last messages of a latched topic, which reliable subscriptions receive that are created later.
 
-    Fast DDS does the same.
+    Best-effort subscriptions receive none of them, as with Fast DDS.
     """
 
     qos: QoSProfile
@@ -198,20 +204,20 @@ class LocalRigWithNodes(LocalRig):
         return hosted.node
 
     def listen(self, topic: str) -> Collector:
-        """Return the collector of all messages that hosted nodes publish on a topic after the first such call."""
+        """Return the collector of all messages that hosted nodes publish on a topic after the first call for it."""
         topic = topic.removeprefix("/")
         if topic not in self._collectors:
             self._collectors[topic] = Collector(topics.Topic(topic, "", topics.Qos.DATA, "", "", ()))
         return self._collectors[topic]
 
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
-        """Publish a message to the hosted nodes, as another node would do; `qos` is by default that of commands."""
+        """Publish a message to the hosted nodes, as another node would do; None as `qos` means that of commands."""
         self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
 
     def send_data(self, topic: str, data: object) -> None:
-        """Publish a message whose field `data` has this value on a topic, in the type of a hosted node's subscription.
+        """Publish a message whose field `data` has this value, with the type that a hosted node subscribes to.
 
-        For None, the message is empty. If no hosted node subscribes, nothing happens.
+        If `data` is None, the message has its default values. If no hosted node subscribes, nothing happens.
         """
         name = topic.removeprefix("/")
         inboxes = (inbox for hosted in self._hosted for inbox in hosted.inboxes.values() if inbox.topic == name)
@@ -344,9 +350,10 @@ class LocalRigWithNodes(LocalRig):
         super()._deliver(block)
 
     def _flush(self) -> None:
-        """Put new messages into the queues of the subscriptions: those of the rig, the scans of a block last.
+        """Put new messages into the queues of the subscriptions.
 
-        Then follow messages of callbacks whose sleep in rig time is over.
+        The messages of the rig come first, and among them the scans last. Then follow those that callbacks published
+        after a sleep in rig time that is now over.
         """
         published, self._published = self._published, []
         for topic, data in sorted(published, key=lambda one: one[0] is topics.SCAN):
@@ -355,7 +362,10 @@ class LocalRigWithNodes(LocalRig):
             self._publish_output(*self._outbox.popleft()[1:])
 
     def _route(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
-        """Put a message into the queues of the hosted nodes' subscriptions to its topic, or drop or double it."""
+        """Put a message into the queues of the hosted nodes' subscriptions to its topic, twice or not if so disturbed.
+
+        `duplicate` and `drop` decide about the disturbance. A message on a latched topic is kept for later subscribers.
+        """
         topic = topic.removeprefix("/")
         self._numbers += 1
         if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -379,7 +389,7 @@ class LocalRigWithNodes(LocalRig):
                         self._note(hosted, f"{topic}: lost, the queue is full")
 
     def _find_entities(self) -> None:
-        """Find subscriptions that hosted nodes have created or destroyed, and refuse timers that run by wall time.
+        """Find subscriptions that hosted nodes have created or destroyed, and reject timers that run by wall time.
 
         New subscriptions receive the latched messages of their topics.
 
@@ -486,7 +496,11 @@ class LocalRigWithNodes(LocalRig):
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
-        """Run code of a hosted node in this block: its messages go to the queues, and its sleeping takes rig time."""
+        """Prepare the `with` block in which code of a hosted node runs: its sleeping takes rig time, not wall time.
+
+        What the code publishes goes to the queues of the hosted nodes. If the code waits or does not return,
+        `BlockedError` is raised with `what`, the name of the code, in its message.
+        """
 
         def publish(publisher: Any, message: Any) -> None:
             topic = publisher.topic_name
@@ -551,7 +565,10 @@ def _digest(message: Any) -> str:
 
 @contextlib.contextmanager
 def _returning(message: str) -> Iterator[None]:
-    """Raise `BlockedError` from `message` in the main thread if the block of code waits, or computes for too long."""
+    """Raise `BlockedError` in the `with` block if its code waits or runs for too long; only in the main thread.
+
+    The text of the error begins with `message`.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -14,8 +14,8 @@
 """Search for failures: scenarios of operator actions, faults and schedules of callbacks, drawn by Hypothesis.
 
 A scenario is a list of actions. Actions are data: they are drawn, shrunk, printed and played again. `search` plays many
-scenarios on new rigs, each with the test's own `check`, and reports the shortest that fails, with three lines that
-repeat it. Requires the extra `impact_rig[strategies]`.
+scenarios, each on a new rig with the test's own `check`. If one fails, it reports the shortest failing scenario that it
+finds, with three lines of Python that repeat it. Requires the extra `impact_rig[strategies]`.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ __all__ = [
     "Reset", "Send", "SetParameter", "Silence", "repeat", "scenarios", "schedules", "search",
 ]  # fmt: skip
 
-AFTERWARDS = 3  # blocks after the last action, so that the pipeline sees its effect
-MOST_BLOCKS = 20
+AFTERWARDS = 3  # blocks that follow the last action, so that the pipeline receives its effect
+MOST_BLOCKS = 20  # maximum length of an action, and of the wait for the end of faults
 SEED = 2
 """Seed of `search`: each run of a test plays the same scenarios, whatever the layout of this source."""
 
@@ -130,7 +130,10 @@ class Reset:
 
 @attrs.frozen
 class LateJoin:
-    """Late start of the pipeline: as first action, the rig runs this many blocks before `check` connects it."""
+    """Late start of the pipeline: the rig runs this many blocks before `check` connects the pipeline.
+
+    This holds for actions at the begin of a scenario. Later, the rig just runs this many blocks.
+    """
 
     blocks: int = 1
 
@@ -268,9 +271,9 @@ def schedules(
 
     Args:
         topics: topics that the nodes under test subscribe to, without a leading slash.
-        parameters: parameters of the nodes, and their values.
-        messages: topics on which the nodes receive messages of others, and the values of their field `data`.
-        services: services of the nodes; they are called with an empty request.
+        parameters: strategies for the values of parameters of the nodes, by name of the parameter.
+        messages: strategies for the field `data` of messages from other nodes, by name of the topic.
+        services: names of services of the nodes; they are called with an empty request.
         most_actions: maximum number of actions.
         most_blocks: maximum length of one disturbance; overlapping ones can last longer.
     """
@@ -300,7 +303,7 @@ def scenarios(
     """Return a Hypothesis strategy for scenarios on any rig: commands, faults, pauses and parameter changes.
 
     Args:
-        changes: strategies for the values of the rig's parameters that may be changed; None means the gap.
+        changes: strategies for the values of parameters of the rig, by name of the parameter; None means the gap only.
         most_actions: maximum number of actions.
     """
     gaps: Mapping[str, st.SearchStrategy[float | bool]] = {
@@ -337,8 +340,9 @@ The pipeline may also raise AssertionError earlier, while the scenario is played
 def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
     """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions of `check`.
 
-    The rig advances by a block after each action, and at the end until all faults are over: by at most `MOST_BLOCKS`,
-    and by `AFTERWARDS` more. An action that the rig rejects has no effect.
+    `LateJoin` actions at the begin are done before `check` is called. The rig advances by a block after each further
+    action. At the end it advances until all faults are over, by at most `MOST_BLOCKS`, and then by `AFTERWARDS` blocks.
+    An action that the rig rejects has no effect.
     """
     rest = list(actions)
     while rest and isinstance(rest[0], LateJoin):
@@ -372,8 +376,8 @@ def search(
         make_rig: function that starts a rig with parameters: the fixture's value.
         check: function that connects the pipeline and checks it, see `Check`.
         parameters: parameters of every rig.
-        among: scenarios; None means `scenarios()`.
-        examples: maximum number of scenarios played before one fails; shortening it plays more.
+        among: strategy for the scenarios, such as `schedules()`; None means `scenarios()`.
+        examples: maximum number of scenarios to play while none fails; the search for the shortest one plays more.
     """
     last: list[RigDriver] = []
 
