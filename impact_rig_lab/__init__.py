@@ -15,7 +15,7 @@
 
     browser ◄─ WebSocket ─► server, sessions ─► source: live (gateway, subscriptions) or playback (run players)
 
-A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state of the rig. The session of
-each open page sends its browser what the page requests, never faster than the browser can draw it. No source waits for
-a browser.
+A source fills ring buffers of scans and of true motion, and keeps a snapshot of the state of the rig. The server has a
+session for each open page, which sends the browser what the page requests, but never faster than the browser can draw
+it. No source waits for a browser.
 """

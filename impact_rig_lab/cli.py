@@ -69,8 +69,9 @@ def add_command(commands: Commands) -> None:
         nargs="?",
         const=FOUND,
         metavar="NAMESPACE",
-        help="show a rig that already runs and keeps running, instead of starting one; NAMESPACE such as /rig, without "
-        "it the only rig that is found: the page offers several, and waits for the first",
+        help="show a rig that is running already, and leave it running, instead of starting one; NAMESPACE of the rig, "
+        "such as /rig. Without NAMESPACE: the rig that is found; the page waits for one, and lets you choose from "
+        "several",
     )
     parser.add_argument(
         "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"
@@ -78,7 +79,7 @@ def add_command(commands: Commands) -> None:
     parser.add_argument(
         "--sample",
         action="store_true",
-        help="play back a short sample run, without ROS 2; the first use simulates and stores it",
+        help="play back a short sample run, without ROS 2; the first call simulates the run and stores it",
     )
     parser.add_argument("--port", type=int, default=8765, help="TCP port of the page; 0: any free one (default: 8765)")
     parser.add_argument(
@@ -108,8 +109,8 @@ def add_command(commands: Commands) -> None:
         metavar="DIR",
         nargs="+",
         default=(),
-        help="output folders of `impact-rig dynamics continue` over frequency; their branches are drawn with the curve "
-        "of DT while the rig has the settings for which they were computed",
+        help="output folders of `impact-rig dynamics continue` over frequency; the page draws their branches with the "
+        "curve of DT while the rig has the settings for which they were computed",
     )
     parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
     parser.add_argument(
@@ -124,7 +125,8 @@ def add_command(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run `impact-rig lab`: start or open what the page shows, and serve the page until Ctrl-C.
 
-    It also ends when the program that reads its standard output ends; then the exit code is that of SIGPIPE.
+    The function returns only when the program that reads its standard output has ended, with the exit code of SIGPIPE;
+    Ctrl-C raises an exception.
 
     Raises:
         ImpactRigError: options contradict each other, a run cannot be read, or the rig or server cannot be started.
@@ -166,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _say_where(source: Any) -> None:
     """Print the directory of the last recording of a live source, if there is one.
 
-    The source is None if the program has failed before.
+    `source` is None if the program has failed before it had a source.
     """
     directory = getattr(source, "directory", None)
     if directory is not None:
@@ -212,20 +214,23 @@ def _check_writable(directory: Path) -> None:
     """Check before the start that the recorder can write to the directory `--output`, and create it if needed.
 
     Raises:
-        ImpactRigError: it cannot be created or written to.
+        ImpactRigError: the directory cannot be created or written to.
     """
-    with files.translate_errors(f"nothing can be recorded into {directory}; choose --output DIR or --no-record"):
+    remedy = "choose another one with --output DIR, or record nothing with --no-record"
+    with files.translate_errors(f"cannot record into the directory {directory} ({remedy})"):
         files.make_folder(directory)
         if not os.access(directory, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> None:
-    """Reserve a ROS namespace for the rig that this lab is about to start, so that no other program uses it as well.
+    """Reserve a ROS namespace for this lab, and check that no rig uses the namespace yet.
+
+    If locks cannot be used on this machine, nothing is reserved or checked.
 
     Args:
         domain: ROS domain.
-        namespace: the namespace.
+        namespace: the namespace, such as `/rig`.
         stack: exit stack that releases the reservation at the end of the program.
 
     Raises:

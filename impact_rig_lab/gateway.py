@@ -11,14 +11,15 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Connection of the lab to one running rig over ROS: its subscriptions, and the actions that pages request.
+"""Connection of the lab to one running rig over ROS: subscriptions to its topics, and the actions that pages request.
 
-Actions are coroutines of one event loop: STOP is sent even while another action waits. An action belongs to the
+Actions are coroutines of one event loop, so STOP is sent even while another action waits. An action belongs to the
 activation of the rig for which it was requested. If that rig is gone, the action is rejected and never reaches a later
 rig.
 
 Blocks of scans and joint states arrive hundreds of times per second. They do not wake the loop each time: `take`
-fetches them in batches, and only while a page is open. If a queue overflows meanwhile, only pictures are lost.
+fetches them in batches, and only while a page is open. If a queue overflows between two batches, only pictures are
+lost.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Answer, Seen
 
 ANSWER_S = 30.0  # time limit of an answer: a busy machine answers late, and the control stays pending until then
-TOLD_S = 1.5  # time limit within which diagnostics must report an action of the rig
-ECHO_S = 5.0  # time limit within which an accepted parameter must be reported as active
+TOLD_S = 1.5  # time limit within which the diagnostics of the rig must show the effect of an action
+ECHO_S = 5.0  # time limit within which `rig/configuration` must show an accepted parameter
 START_S = 60.0  # time limit within which a started node must report for the first time
 AGAIN_S, ATTEMPTS = 0.5, 20  # interval and number of requests to a node that has just been started
 MOST_FAULTS = 16  # largest number of planned faults; the oldest are dropped for a new one
@@ -66,9 +67,9 @@ SWEEPER = "stepped_sine"  # name of the node that makes sweeps
 PROGRAMS = {SWEEPER: "impact_rig_studies"}
 """Python packages that contain the program of a node, for nodes that are not part of `impact_rig`."""
 FREE = frozenset({"stop", "sweep_stop", "note", "record", "restart", "recover"})
-"""Requests that are run for any rig, also if it has restarted since the page showed it.
+"""Requests that are run for any rig, even if the rig has restarted since the page showed it.
 
-They make the rig safe, or do not concern it.
+They make a rig safe, or do not change it.
 """
 COMMANDS = {"frequency": topics.FREQUENCY, "current": topics.CURRENT}
 """Topics of the commands; the request of a command is also the column of `shaker/applied` that confirms it."""
@@ -100,7 +101,7 @@ PICTURES = QoSProfile(
 
 
 class Refused(ImpactRigError):  # noqa: N818  # a property of a request, not an internal error
-    """Rejection or failure of a request of a page; the page shows the message to the user."""
+    """Error of a request of a page that was rejected or has failed; the page shows the message to the user."""
 
 
 class OwnedProcesses:
@@ -118,7 +119,7 @@ class OwnedProcesses:
         self._starter.submit(time.monotonic).result()
 
     def start(self, node: str) -> None:
-        """Start the process of a node with its parameters, and wait until it is created.
+        """Start the process of a node with its parameters, and wait until the process is created.
 
         Args:
             node: name of the node, such as "rig".
@@ -150,7 +151,7 @@ class _Running:
 class Gateway:
     """Connection of the lab to one rig: it passes the rig's messages to `record`, and runs the actions of pages.
 
-    It belongs to the event loop in which it is created.
+    A gateway may be used only in the event loop in which it was created.
 
     Args:
         client: ROS client in the namespace of the rig.
@@ -219,7 +220,8 @@ class Gateway:
     def take(self) -> bool:
         """Pass the scans and motion received since the last call to the record; return whether there were any.
 
-        They are dropped while scan 0 of a new rig is unknown.
+        They are dropped while the stamp of scan 0 of a new rig is unknown. At most `MOST_PER_LOOK` messages per topic
+        are taken in a call.
         """
         received = False
         for topic, subscription in self._samples.items():
@@ -286,7 +288,7 @@ class Gateway:
         return bool(self._running)
 
     def watch(self) -> None:
-        """Cancel the actions in progress whose rig is gone, so that their pages get an answer."""
+        """Cancel the actions in progress whose rig is gone, so that their pages receive the reason as the answer."""
         for running in list(self._running):
             if why := self._gone(running.instance):
                 self._break_off(running, f"{why}: the request was not confirmed")
@@ -296,7 +298,7 @@ class Gateway:
 
         Args:
             why: reason that their pages receive.
-            bound: whether to cancel only those that belong to an activation of the rig, not those of `FREE`.
+            bound: whether to cancel only the actions that belong to an activation of the rig, not those of `FREE`.
         """
         for running in list(self._running):
             if not bound or running.instance is not None:
@@ -307,7 +309,7 @@ class Gateway:
         running.task.cancel()
 
     def _gone(self, instance: str | None) -> str:
-        """Return the reason why the rig of an action is gone; empty if it is there, or the action is for any rig.
+        """Return the reason why the rig of an action is gone; empty if the rig is there, or the action is for any rig.
 
         Args:
             instance: activation of the rig for which the action was requested; None means any.
@@ -360,10 +362,12 @@ class Gateway:
         return await self._call(Trigger, name, Trigger.Request(), timeout_s)
 
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
-        """Set parameters of a node, all or none, and wait until it accepts them; for the rig, until they are active.
+        """Set parameters of a node, all or none, and wait until the node has accepted them.
+
+        For the rig, wait also until `rig/configuration` shows a new configuration.
 
         Raises:
-            Refused: the node rejects them, or does not answer in time.
+            Refused: the node rejects the parameters, or does not answer in time.
         """
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
@@ -393,7 +397,7 @@ class Gateway:
         """Publish a command, and wait until the rig has applied it.
 
         Args:
-            column: request, and column of `shaker/applied`: frequency or current.
+            column: name of the request, and of the column of `shaker/applied` that confirms it: frequency or current.
             value: commanded value [Hz or A].
 
         Returns:
@@ -445,7 +449,7 @@ class Gateway:
             raise
 
     async def do_pluck(self, value: float) -> str:
-        """Pluck the rig: it locks the inferior base, and releases the superior base from a displacement [m]."""
+        """Pluck the rig: the rig locks the inferior base, and releases the superior base from a displacement [m]."""
         await self._set("rig", {"pluck.displacement_m": value})
         return await self._trigger("rig/pluck")
 
@@ -461,9 +465,9 @@ class Gateway:
         return case_of(value) + await self._label(value)
 
     async def _label(self, gap_m: float) -> str:
-        """Set the gap [m] as the label with which the analysis marks its measurements.
+        """Set the gap [m] with which the analysis labels its measurements.
 
-        Returns an addition to the answer for the page: empty, or that no analysis is running.
+        Returns an addition to the answer for the page: empty, or a clause that says that no analysis is running.
         """
         if not self.seen("analysis").lives:
             return "; no analysis is running, so that no measurement is labelled with this gap"
@@ -473,8 +477,8 @@ class Gateway:
     async def do_load(self, value: str) -> str:
         """Apply a configuration: set all parameters of the rig that differ from it, all at once or none.
 
-        Values that are missing in the file become defaults. Values that cannot change while the rig runs are left out,
-        and named in the answer.
+        A parameter that is missing in the file gets its default value. Parameters that cannot change while the rig runs
+        are left out, and named in the answer.
 
         Args:
             value: content of a ROS 2 parameter file.
@@ -497,9 +501,9 @@ class Gateway:
         Args:
             kind: kind of fault, a key of `FAULT_KINDS`.
             channel: channel that it affects; empty for the whole board.
-            value: its size in SI units, if the kind has one.
-            duration: its duration [s of rig time].
-            rate: its rate [Hz], if the kind has one.
+            value: size of the fault in SI units, if the kind has one.
+            duration: duration of the fault [s of rig time].
+            rate: rate of the fault [Hz], if the kind has one.
         """
         if kind not in FAULT_KINDS:
             raise Refused(f"unknown kind of fault {kind!r}, known: {', '.join(FAULT_KINDS)}")
@@ -509,19 +513,21 @@ class Gateway:
         return f"fault: {added}"
 
     async def do_clear_faults(self) -> str:
-        """End all simulated instrument faults, present and planned."""
+        """End all simulated instrument faults that are active, and cancel those that are planned."""
         await self._set("rig", {PLANNED: [""]})
         return "faults cleared"
 
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine or phase lock on the rig; a lab that started the rig first starts an absent node for it.
+        """Start a stepped sine or a phase lock on the rig.
+
+        If the node that runs it is absent, a lab that has started the rig starts this node first.
 
         Args:
             frequencies: frequencies of the points [Hz].
             direction: up, down or up_down.
-            hold: constant quantity: command, current, base, superior or phase.
+            hold: quantity that is kept constant: command, current, base, superior or phase.
             target: amplitude to which current, base or superior is controlled [A or m].
 
         Raises:

@@ -13,8 +13,8 @@
 # limitations under the License.
 """Live source of the page: a ROS client that receives the messages of a running rig and runs the requests of pages.
 
-One event loop does everything: it waits for ROS, processes data when a picture is due, and never waits for an answer of
-a node. Therefore STOP is sent even if a service hangs or an invalid message arrives.
+One event loop does everything: it waits for messages of ROS, processes data when a picture is due, and never blocks
+while an action waits for a node. Therefore STOP is sent even if a service hangs or an invalid message arrives.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 POLL_S = 0.02  # interval between two checks for data while a page is open
 FAST_RIG_POLL_S = 0.5  # the same while rig time runs faster than real time
 SUBSCRIBE_S, PAUSE_S = 0.1, 1.4
-"""Durations [s] of receiving scans and of not receiving them, in turn, if the rig is too fast to draw all of them."""
-TURN_S = 0.05  # longest wait of the loop while a page is open, because it delays the requests of the page
+"""Durations of alternately receiving scans and receiving none [s], if the rig is too fast to draw all scans."""
+TURN_S = 0.05  # longest wait of the loop while a page is open: a request of the page may be delayed by this time
 IDLE_S = 0.2  # interval between two checks for data while no page is open
 LATE_S = 5.0  # longest delay of a rig's first diagnostics after its other messages
 STATE_S = 0.1  # interval between two state updates of the page
@@ -72,7 +72,7 @@ class LiveSource(Source):
         self._gateway: Gateway | None = None
         self._pace = Pace()
         self._instance = ""  # instance of the present rig
-        self._listens = True  # whether it receives scans; only at intervals if rig time outruns real time
+        self._listens = True  # whether the source receives scans now; it alternates if rig time is too fast
         self.snapshot.put(rig={"word": "starting", "text": "The lab is starting.", "name": namespace or ""})
 
     @property
@@ -139,9 +139,9 @@ class LiveSource(Source):
             await asyncio.sleep(0)  # lets every action check its condition
 
     def _poll(self) -> None:
-        """Process new messages of scans and motion, and subscribe to them only as far as they can be drawn.
+        """Process new messages of scans and motion, and subscribe to these topics while they can be drawn.
 
-        If rig time runs too fast, the subscription pauses most of the time, which also relieves the rig.
+        If rig time runs too fast, the lab unsubscribes most of the time, which also relieves the rig.
         """
         if self._gateway is None:
             return
@@ -195,7 +195,7 @@ class LiveSource(Source):
     # State for the page
 
     def _tell(self) -> None:
-        """Update the snapshot, from which pages get the state of the rig, from the newest reports and messages."""
+        """Update the snapshot, which pages receive, from the newest reports of the nodes and messages of the rig."""
         gateway, record = self._gateway, self.record
         if gateway is None:
             return
@@ -264,7 +264,7 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Return whether a rig is there whose time has not started yet: then all known data belong to the previous rig."""
+    """Return whether a rig reports whose time has not started yet: all known data then belong to the previous rig."""
     return rig.lives and "rig_time_s" not in rig.figures
 
 
@@ -274,9 +274,9 @@ def _stamp(text: str) -> int:
 
 
 def _lost(seen: Mapping[str, Seen]) -> dict[str, float] | None:
-    """Return the numbers of lost blocks and scans, by a text for the page that says where they were lost.
+    """Return the numbers of lost blocks and scans, each under a text for the page that says what was lost and where.
 
-    Losses of zero are left out. The result is None if no node reports any count now.
+    Losses of zero are left out. The result is None if no node has reported any of these numbers.
 
     Args:
         seen: last report of each node.

@@ -13,10 +13,10 @@
 # limitations under the License.
 """Playback of recorded runs on the page: one run, or two side by side.
 
-A player passes the messages of a run to the same record as a live rig, in the pace of the page. The rare messages
-(journal, measurements, faults, impacts, remarks) of the whole run are read first, in a thread: the page shows them as
-marks on its time line, and the state at any time follows from them. Only recorded facts are shown: a measurement counts
-only until the next change. An invalid message is counted and has no other effect.
+A player passes the messages of a run to a `RigView`, as for a live rig, at the speed chosen on the page. A thread reads
+the rare messages (journal, measurements, faults, impacts, remarks) of the whole run in advance. The page shows them as
+marks on its time line, and the state of the rig at any time follows from them. Only recorded facts are shown: a
+measurement applies only until the next change. An invalid message is counted and has no other effect.
 """
 
 from __future__ import annotations
@@ -53,13 +53,14 @@ RARE = (
     topics.JOURNAL, topics.APPLIED, topics.TRANSMISSIBILITY_TABLE, topics.FAULTS, topics.IMPACTS_TRUTH, topics.NOTES,
     topics.SCAN,
 )  # fmt: skip
-"""Topics that are read through the whole run for marks and past states; scans only to find missing blocks."""
+"""Topics that are read in advance through the whole run, for marks and past states; scans only to find missing blocks.
+"""
 MOST_FILLED = 250_000  # largest number of scans before the new time that are read at a jump
 BINS = 400  # number of equal parts of a run in which impacts are counted
 TICK_S = 0.025  # interval between two turns of the player's loop
 TELL_S = 0.1  # interval between two updates of the state
 MARKS_S = 1.0  # interval between two updates of the counted impacts
-IMPACT_MARGIN_S = 0.05  # time between the impact of a jump and the end of the picture
+IMPACT_MARGIN_S = 0.05  # after a jump to an impact, the page shows the time that is later than the impact by this
 AT_REST = {"frequency": 0.0, "current": 0.0}  # drive before the first recorded change
 
 
@@ -75,9 +76,10 @@ class Instant:
 
 
 class RunPlayer:
-    """Player of one recorded run: it passes the messages up to the shown time to its record, and reads all marks.
+    """Player of one recorded run: it passes the messages up to the shown time to its record, and reads the marks.
 
-    Times of the page are seconds since scan 0 of the first run; `offset_s` converts them for a second run.
+    The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run;
+    `offset_s` converts them for a second run.
 
     Args:
         path: a run directory or an MCAP file; one that cannot be opened, such as a truncated one, is first recovered
@@ -232,9 +234,9 @@ class RunPlayer:
         self._impacts += [begin + float(time) for time in table.rows["time"]]
 
     def _count_lost(self, table: Table) -> None:
-        """Note how many blocks of scans are missing between the previous block and this one.
+        """Store how many blocks of scans are missing between the previous block and this one.
 
-        They are assumed to be as long as this one. A pause between two rigs in the recording does not count.
+        Missing blocks are assumed to be as long as this one. The time between two rigs in the recording does not count.
         """
         length_ns = round(len(table.rows) * NS_PER_S / self.rate_hz)
         if not length_ns:
@@ -248,7 +250,7 @@ class RunPlayer:
         self._expected_ns = table.stamp_ns + length_ns
 
     def lost_blocks(self, page_s: float) -> int:
-        """Return the number of blocks of scans missing up to a time of the page [s], as far as the run was read."""
+        """Return the number of blocks of scans missing up to a time of the page [s], as far as marks have been read."""
         at = self.instant_ns(page_s)
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
@@ -267,7 +269,8 @@ class RunPlayer:
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
         """Return whether the newest measurement before a time of the page applied then, in the form of `state.present`.
 
-        It applied if the shaker was driven, nothing had changed since it began, and there were no doubts about it.
+        It applied if the shaker was driven, nothing had changed since the measurement began, and there were no doubts
+        about it (`RigView.doubts`).
 
         Args:
             page_s: the time of the page [s].
@@ -287,7 +290,7 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the newest measurements, at most `MOST_ROWS`, up to a time of the page [s], as `Curve.part` does."""
+        """Return the newest measurements up to a time of the page [s], at most `MOST_ROWS`, as `Curve.part` does."""
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
@@ -411,7 +414,7 @@ class PlaybackSource(Source):
     # Requests of pages
 
     def _obey(self) -> None:
-        """Run the waiting requests of pages and answer them; of several jumps in time, only the last one is run."""
+        """Run the waiting requests of pages and answer them; of several `seek` requests, only the last one is run."""
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
             asked.append(self._asked.get())

@@ -20,11 +20,11 @@ answers each with a frame REPLY that has the request's id, `ok` (whether it succ
 A frame is a binary message, little-endian. It begins with its kind (u1), 3 bytes of padding, and a number (u4). The
 rest depends on the kind; times are in seconds since scan 0:
 
-    STATE     JSON: the parts of the snapshot that have changed
+    STATE     JSON: the parts of the snapshot that have changed (state.Snapshot)
     REPLY     JSON: id, ok, text
     TRACE     picture of the scope: begin, length of a column, trigger, now (f8 each), channels u4, columns u4; minima
               f4[channels][columns], maxima likewise, status u1[columns]
-    TRACE_B   the same for a second run
+    TRACE_B   the same for the scans of a second run
     MOTION    true motion: rows u4, columns u4; each row f8: time, x_b, x_1, x_2, v_b, v_1, v_2
     IMPACTS   true impacts, as MOTION: time, wall, approach speed, separation speed, peak force
     DETECTED  impacts detected by the accelerometer, as MOTION: time, peak, sign
@@ -77,7 +77,7 @@ class FrameKind(enum.IntEnum):
 class Request:
     """Parsed and checked request of a page."""
 
-    id: int  # number that the page has given it, for the reply
+    id: int  # number that the page has given to the request, and that the reply repeats
     do: str  # name of the request, a key of `REQUESTS`
     values: Mapping[str, Any]  # its values by name
     rig: str | None = None  # instance of the rig that the page showed; None if the page did not name one
@@ -108,7 +108,7 @@ def flag(name: str, value: object) -> bool:
     """Check that the value `name` of a request is true or false, and return it.
 
     Raises:
-        RequestError: it is anything else.
+        RequestError: the value is neither.
     """
     if not isinstance(value, bool):
         raise RequestError(f"{name} must be true or false, got {_short(value)}")
@@ -218,7 +218,8 @@ def parse(raw: str | bytes) -> Request:
         raw: the message, a JSON object.
 
     Raises:
-        RequestError: it is too long, not a JSON object, or an unknown request, or a value is missing or invalid.
+        RequestError: the message is too long or no JSON object, the request is unknown, or a value is missing, unknown
+            or invalid.
     """
     if len(raw) > LONGEST_REQUEST:
         raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {len(raw)}")
@@ -257,7 +258,7 @@ def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> byte
 
     Args:
         kind: STATE or REPLY.
-        number: number of the frame, modulo 2³².
+        number: number in the head of the frame, modulo 2³²: 0 for STATE, the id of the request for REPLY.
         content: what the page receives.
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
@@ -278,11 +279,11 @@ def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> byt
 
 
 def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes:
-    """Return a frame with rows of numbers, the first of which is the time.
+    """Return a frame with rows of numbers, the first of which is the time [s since scan 0].
 
     Args:
         kind: MOTION, IMPACTS or DETECTED.
-        number: epoch of the record: rows of another epoch belong to another record.
+        number: epoch of the record (`RigView.epoch`); a page that receives another epoch than before drops its rows.
         rows: rows, shape (number of rows, number of columns).
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()
@@ -293,7 +294,7 @@ def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.flo
 
     Args:
         number: epoch of the record, as for `rows_frame`.
-        resolution_hz: distance of two lines.
+        resolution_hz: distance between two lines of the spectrum.
         amplitudes: peak amplitudes of the lines from 0 Hz on.
         channel: index of the channel in `CHANNELS`.
     """

@@ -11,11 +11,11 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""State of one rig, live or recorded, from its messages (`RigView`), in the forms in which the page shows it.
+"""State of one rig, live or recorded, as its messages show it (`RigView`), in the forms that the page needs.
 
-Scans and motion are kept in ring buffers for pictures, journal and faults as lines of text, measurements as rows. An
-invalid message is counted under its topic and has no other effect. Times for the page are seconds since scan 0 of the
-rig; earlier times are negative. Names that end in _ns are stamps in rig time.
+Scans and motion are kept in ring buffers for pictures, journal and faults as lines of text, and measurements as rows.
+An invalid message is counted under its topic and has no other effect. Times for the page are seconds since scan 0 of
+the rig; earlier times are negative. Names that end in _ns are stamps in rig time.
 """
 
 from __future__ import annotations
@@ -53,12 +53,15 @@ ABOUT = {
     Status.ACCELEROMETER_UNSOUND.value: "accelerometer",
     Status.CURRENT_UNSOUND.value: "current",
 }
-"""Channels that statuses of measured rows concern.
+"""Channel that a status of the analysis concerns, for rows that have a measured value all the same.
 
-In such rows the column `channel` means something else: the channel that contributes most to the uncertainty.
+In these rows the column `channel` has another meaning: the channel that contributes most to the uncertainty.
 """
 NO_CHANGE = (InputKind.FAULT, InputKind.CLEAR_FAULT, InputKind.STREAM)
-"""Kinds of journal entries during which a measurement continues; `truth/faults` reports faults."""
+"""Kinds of journal entries after which a measurement continues, because they are no change of rig or drive.
+
+Faults are counted from `truth/faults` instead.
+"""
 LAST_NS = 2**63  # stamp later than all others
 SAME_M = 1e-9  # gaps that differ by less than this count as equal [m]
 HIGHEST_RATE_HZ = 1e7  # highest scan rate that is accepted
@@ -67,7 +70,7 @@ STREAM = ("buffered", "capacity", "playing", "late", "refused", "missing", "rate
 UNITS = {"frequency": "Hz", "current": "A", "over_travel": "m", "over_current": "A"}
 """Units of the values of journal entries, by name of the entry."""
 SHOWN_UNITS = {"m": ("mm", 1e-3), "-": ("", 1.0)}
-"""Units of the rig that the page shows as another unit: that unit, and its size in the unit of the rig."""
+"""Units of the rig that the page shows as another unit: the unit of the page, and its size in the unit of the rig."""
 
 
 def text(raw: Any) -> str:
@@ -76,7 +79,7 @@ def text(raw: Any) -> str:
 
 
 def fault_unit(kind: str, channel: str) -> str:
-    """Return the unit of the size of an instrument fault; empty if this kind has no size, or one without a unit.
+    """Return the unit of the size of an instrument fault; empty if this kind of fault has no size or no unit.
 
     Args:
         kind: kind of fault, a key of `FAULT_KINDS`.
@@ -105,7 +108,7 @@ def plain(word: str) -> str:
 
 
 class Rows:
-    """Ring buffer of rows of numbers, from which each reader can get the rows that are new to it.
+    """Ring buffer of rows of numbers, from which each reader can get the rows that were added since its last reading.
 
     The first number of a row is the time [s since scan 0].
 
@@ -133,7 +136,7 @@ class Rows:
 
 
 class MotionBuffer:
-    """Motion of the last seconds in SI units: the simulated states and impacts, and impacts detected by the sensor.
+    """Motion of the last seconds in SI units: true states and impacts, and impacts detected by the accelerometer.
 
     Attributes:
         states: rows of time, x_b, x_1, x_2, v_b, v_1, v_2 (inferior base, superior base, sphere).
@@ -183,7 +186,7 @@ class RigHistory:
     """History of a rig: journal, faults and remarks as lines of text for the page, and its state at any past time.
 
     Args:
-        most: number of journal entries kept for past states; None means all, and also all lines.
+        most: number of journal entries kept for past states; None means that all entries and all lines are kept.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -247,7 +250,8 @@ class RigHistory:
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
         """Return the state of the rig at a rig time, and the last entry up to then that makes a measurement restart.
 
-        Entries on faults and samples of a stream do not. The entry is None if there is none among those kept.
+        Entries about faults and about samples of a stream do not make a measurement restart. The entry is None if none
+        of the kept entries does.
         """
         view, newest = JournalView(), None
         for change in list(self._changes):
@@ -289,7 +293,7 @@ class Faults:
 
         Args:
             start_ns: stamp of scan 0; faults that began earlier belong to another rig.
-            at_ns: the rig time; None means after all messages received so far.
+            at_ns: the rig time; None means now, after all messages received so far.
         """
         now_ns = LAST_NS if at_ns is None else at_ns
         return self.acting(start_ns, now_ns, now_ns)
@@ -313,7 +317,7 @@ class Faults:
 
 @attrs.frozen
 class Judged:
-    """Judgement of the analysis on some consecutive scans: a row of `transmissibility/table` without its numbers."""
+    """Judgement of the analysis on consecutive scans: time, status and label of a row of `transmissibility/table`."""
 
     begin_ns: int  # rig time of its first scan
     end_ns: int  # rig time of its last scan
@@ -358,7 +362,8 @@ class Curve:
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
         """Return the problem of a sensor's channel according to the newest row of the analysis, as text by channel.
 
-        It is empty if the row finds no problem, and None if there is no row, or its status says nothing on channels.
+        The result is empty if the row states no problem. It is None if there is no row, or if the status of the row is
+        neither about a channel nor that of a measured value.
 
         Args:
             at_ns: rig time; None means now.
@@ -371,8 +376,8 @@ class Curve:
     def part(self, start_ns: int) -> list[dict[str, Any]]:
         """Return the rows with a measured value for the page, oldest first, with short keys such as "f" and "dt".
 
-        "t" is the time in s since scan 0, the phase is in degrees, all else in SI units. If nothing is new, the result
-        is the same object as before.
+        "t" is the time in s since scan 0, the phase is in degrees, and all other values are in SI units. If nothing is
+        new, the result is the same object as before.
 
         Args:
             start_ns: stamp of scan 0.
@@ -396,11 +401,11 @@ def _measurement(row: NDArray[np.void]) -> dict[str, Any]:
 
 
 class RigView:
-    """State of one rig as its messages show it; all of them, from the graph or from a file, are passed to `take`.
+    """State of one rig as its messages show it; each message, from the graph or from a file, is passed to `take`.
 
     Args:
-        most: number of changes of rig and drive that are kept. None means all, and also all measurements and faults,
-            so that the state at any time can be shown.
+        most: number of changes of rig and drive that are kept. None means that all changes, measurements and faults are
+            kept, so that the state at any past time can be shown.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -410,7 +415,7 @@ class RigView:
         self.journal = RigHistory(most)
         self.faults = Faults(None if most is None else MOST_ENTRIES)
         self.curve = Curve(None if most is None else MOST_ROWS)
-        self.epoch = 0  # number of restarts of the pictures; those of an earlier epoch belong to another record
+        self.epoch = 0  # number of times that pictures began again; data with an earlier number are outdated
         self.start_ns = self.newest_ns = 0  # stamps of scan 0 and of the newest block of scans
         self.told_start_ns = 0
         """Stamp of scan 0 according to the rig's diagnostics.
@@ -446,8 +451,8 @@ class RigView:
     def doubts(self, at_ns: int | None = None) -> list[str]:
         """Return reasons why the newest measurement may not describe the present rig, as text; empty if there are none.
 
-        They are active faults, problems of channels, a change since it began, and a label with another gap than the
-        rig's.
+        They are active faults, problems of channels, a change since the measurement began, and a label of the analysis
+        with another gap than that of the rig.
 
         Args:
             at_ns: rig time for which to judge; None means now.
@@ -462,18 +467,18 @@ class RigView:
         found += [f"{fault} was active during the measurement (truth)" for fault in over]
         view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
         if change is not None and not came_before(change.stamp_ns, row):
-            found.append(f"{plain(change.name or change.kind.value)} was changed after it began")
+            found.append(f"{plain(change.name or change.kind.value)} was changed after the measurement began")
         configuration = self.journal.configuration if at_ns is None else view.configuration
         gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
         if abs(row.gap_m - gap_m) > SAME_M:  # not without a label
-            found.append(f"its label says a gap of {row.gap_m * 1e3:g} mm, the rig has {gap_m * 1e3:g} mm")
+            found.append(f"its label states a gap of {row.gap_m * 1e3:g} mm, the rig has {gap_m * 1e3:g} mm")
         return found
 
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
-        """Return the problems of the sensors' channels, as `Curve.health`, but only if they apply to the present drive.
+        """Return the problems of the sensors' channels as `Curve.health` does, if they apply to the present drive.
 
-        Otherwise the result is None: at rest, where no measurement is made (a pluck looks like spikes and a silent
-        base), and until the first row after a change of the drive.
+        Otherwise the result is None. That is the case until the analysis has published a row after a change of the
+        drive, and at rest: there is no measurement then, and a pluck would look like spikes and a dead base channel.
 
         Args:
             at_ns: rig time; None means now.
@@ -487,9 +492,10 @@ class RigView:
         """Process a message of the rig; an invalid one is only counted in `refused`.
 
         Args:
-            topic: its topic.
+            topic: topic of the message.
             data: the serialised message.
-            at_ns: rig time at which it was received, for a remark without a stamp; None means that of the newest scans.
+            at_ns: rig time at which the message was received, for a remark, which has no stamp; None means the time of
+                the newest scans.
         """
         guard(self.refused, topic.name, lambda: self._take(topic, data, at_ns))
 
@@ -547,7 +553,8 @@ class RigView:
     def stream_part(self) -> dict[str, float] | None:
         """Return the state of the stream that drives the rig for the page; None if the drive is not a stream.
 
-        Level and capacity of its buffer, missing and late samples are in seconds; `refused` is a number of blocks.
+        `buffered` and `capacity` of the stream's buffer, and the `missing` and `late` samples, are in seconds;
+        `refused` is a number of blocks of samples.
         """
         if self.stream is None:
             return None
@@ -561,9 +568,10 @@ class RigView:
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return rig time and values of the newest change of the drive, or of the last one before a past rig time.
+        """Return rig time and values of the newest change of the drive, or of the last one up to a past rig time.
 
-        Returns None if there is none; without a time, a change of a previous rig does not count.
+        Returns None if there is no such change. Without a rig time, a change that belongs to a previous rig does not
+        count.
         """
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)
@@ -593,9 +601,10 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T 
 
 
 def came_before(changed_ns: int, row: Judged) -> bool:
-    """Return whether a change of the rig took place before the scans of a measurement began, so that it applies.
+    """Return whether a change of the rig took place before the scans of a measurement began.
 
-    A change up to one interval of the command grid later counts as before.
+    The measurement then describes the changed rig. A change up to one interval of the command grid (10 ms) later counts
+    as before.
 
     Args:
         changed_ns: rig time of the change.

@@ -35,11 +35,11 @@ from impact_rig.simtime import NS_PER_S
 
 LONGEST_S = 10.0  # longest window that can be drawn [s]
 HELD_S = 12.0  # duration of the scans kept: the longest window, and a margin in which to find a trigger [s]
-COARSE_S = 0.002  # length of the coarse pairs [s]
+COARSE_S = 0.002  # length of a group of scans at the coarsest level [s]
 FINER = 10
-"""Length of the coarse pairs over that of the fine ones.
+"""Length of a group of scans at the coarsest level over that at the finer one.
 
-Minimum and maximum of groups of scans of both lengths are kept as well, so that a long window need not read every scan.
+Both levels have the minimum and maximum of each group, so that a picture of a long window need not read every scan.
 """
 MOST_SCANS = 4_000_000  # largest number of scans kept
 CURRENT = CHANNELS.index("current")
@@ -62,10 +62,12 @@ class Trace:
 
 
 class ScopeLevel:
-    """Ring buffer of pairs: minimum and maximum of each channel over groups of equally many consecutive scans.
+    """Ring buffer of pairs: minimum and maximum of each channel over a group of consecutive scans.
+
+    All groups of a level have the same number of scans.
 
     Args:
-        fine: number of scans per pair; with 1, it is the ring buffer of the scans themselves.
+        fine: number of scans per group; with 1, the level is the ring buffer of the scans themselves.
         size: number of pairs.
     """
 
@@ -77,13 +79,13 @@ class ScopeLevel:
         self.end = 0  # number of the pair after the last complete one
 
     def widen(self) -> None:
-        """Add space for one more channel, which is NaN so far: the commanded current."""
+        """Add a row for one more channel, the commanded current; its values are NaN so far."""
         same = self.high is self.low
         self.low = np.vstack([self.low, np.full((1, self.size), np.nan, np.float32)])
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return the positions in the ring of the pairs numbered begin to end − 1: one slice, or two around its end."""
+        """Return the positions in the ring of pairs `begin` to `end` − 1: one slice, or two if they pass its end."""
         if end <= begin:
             return []
         first, last = begin % self.size, (end - 1) % self.size + 1
@@ -96,10 +98,10 @@ class ScopeLevel:
             self.status[place] = 0
 
     def gather(self, below: ScopeLevel, end: int) -> None:
-        """Compute the pairs of this level that have become complete since the last call.
+        """Compute the pairs of this level whose groups have become complete since the last call.
 
         Args:
-            below: level with smaller groups of scans, from which they are computed.
+            below: level with smaller groups of scans, from which the pairs are computed.
             end: number of the scan after the newest one.
         """
         ratio, whole = self.fine // below.fine, end // self.fine
@@ -141,8 +143,9 @@ class Scope:
     def add(self, table: Table, start_ns: int) -> None:
         """Add a block of scans.
 
-        If it begins before the end of the scans kept, or more than the length of the buffer after it, they are
-        forgotten. A block that begins before scan 0 is ignored.
+        Scans that are missing between the kept scans and the block become NaN. If the block begins before the end of
+        the kept scans, or after it by more than the length of the buffer, the kept scans are dropped first. A block
+        that begins before scan 0 is ignored.
 
         Args:
             table: table of `daq/scan`.
@@ -169,7 +172,7 @@ class Scope:
         self.begin = max(self.begin, self.end - self._size)
 
     def command(self, table: Table, rate_hz: float, start_ns: int) -> None:
-        """Add commanded samples of a stream, which are drawn together with the scans at the same times.
+        """Add commanded samples of a stream [A], which are drawn together with the scans at the same times.
 
         Samples for times up to the newest scan are dropped.
 
@@ -252,7 +255,7 @@ class Scope:
         return np.concatenate(parts, axis=1) if parts else self._scans.low[:, :0]
 
     def stretch(self, span_s: float) -> NDArray[np.float32]:
-        """Return the scans of the newest `span_s` seconds, or all kept if these are fewer.
+        """Return the scans of the newest `span_s` seconds, or all kept scans if these are shorter.
 
         The shape is (channels, scans), with channels as in `Trace.low`.
         """

@@ -13,9 +13,10 @@
 # limitations under the License.
 """Web server of the laboratory: it serves the page, and a WebSocket for each open page, to clients with the token.
 
-By default it is reachable only from this machine. Nothing is fetched from other sites, and the content security policy
-forbids the page to do so. Each open page has a `PageSession`, which sends what the page requests, one picture at a
-time: a page that does not draw costs nothing. A page may request recorded runs (`?run=NAME`) and gets its own player.
+By default the server is reachable only from this machine. The page fetches nothing from other sites, and the content
+security policy forbids it. Each open page has a `PageSession`, which sends what the page requests. It sends the next
+picture only when the page has drawn an earlier one, so a hidden page costs almost nothing. A page may request recorded
+runs (`?run=NAME`), and then gets a player of its own.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ HIGHEST_PORT = 65535
 HTTP_PORT = 80  # port that browsers omit from an address
 MOST_PAGES = 16  # largest number of pages open at once
 FASTEST_HZ = 60.0  # largest number of pictures per second
-MOST_UNDRAWN = 2  # largest number of pictures on their way to a page: one is drawn while the next one is sent
+MOST_UNDRAWN = 2  # largest number of pictures sent but not drawn yet: one is drawn while the next one is sent
 SPECTRUM_S = 0.25  # interval between two spectra
 SPECTRUM_SPAN_S = 2.0  # length of the scans of a spectrum
 STATE_S = 0.1  # interval between two updates of the state
@@ -110,8 +111,8 @@ def plotter_files() -> Path:
 def kept_token() -> str:
     """Return the secret token that the address of the page contains, so that only this user can open the page.
 
-    It is created once and stored in a file that only the user can read: an open page reconnects after a restart of the
-    lab. If it cannot be stored, a new one is valid for this start only.
+    The token is created once and stored in a file that only the user can read, so that an open page can reconnect after
+    a restart of the lab. If the token cannot be stored, it is valid for this start only.
     """
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -132,7 +133,7 @@ class PageSession:
 
     Args:
         socket: the WebSocket.
-        source: what the page shows.
+        source: live rig or recorded runs that the page shows.
         refused: counts of rejected requests by reason, shared with the server.
     """
 
@@ -282,7 +283,7 @@ class PageSession:
 
 
 class _Counting(logging.Handler):
-    """Log handler that only counts the messages of aiohttp, so that strange clients cannot fill the terminal.
+    """Log handler that only counts the messages of aiohttp, so that clients with invalid requests cannot fill the log.
 
     Such messages report invalid HTTP requests, and connections that end in the middle of a request.
 
@@ -303,7 +304,7 @@ class Server:
     """Web server of the page for one source, with its own event loop in its own thread.
 
     Args:
-        source: what pages show that do not request recorded runs.
+        source: live rig or recorded runs for pages that do not request runs themselves.
         host: address of this machine at which the page is served.
         port: TCP port; 0 means any free one.
         token: secret that the address of the page must contain; empty means a new one.
@@ -615,12 +616,14 @@ class Server:
             names: names of one or two runs.
 
         Raises:
-            ImpactRigError: a name is none of `runs`, there are more than two names, or a run cannot be shown.
+            ImpactRigError: `runs` has no run of a name, there are more than two names, or a run cannot be shown.
         """
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]
         if unknown:
-            raise ImpactRigError(f"{unknown[0]!r} is none of the newest {MOST_RUNS} recorded runs of this lab")
+            raise ImpactRigError(
+                f"there is no recorded run {unknown[0]!r} among the newest {MOST_RUNS} in the directory of this lab"
+            )
         if len(names) > MOST_AT_ONCE:
             raise ImpactRigError(f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}")
         source = PlaybackSource([known[name] for name in names])

@@ -13,9 +13,9 @@
 # limitations under the License.
 """State of rig and measurement as pages show it, live and in playback, and the base class `Source` that provides it.
 
-`judge` summarises the state in one word and one sentence. It uses only the state words of the nodes
-(`impact_rig.states`); no sentence of a node is parsed. A value that was never reported, or too long ago, is not shown
-as present. Times are seconds since scan 0; earlier times are negative.
+`judge` summarises the state in one word and one sentence. It decides by the state words of the nodes
+(`impact_rig.states`) only; sentences of nodes are not parsed. A value that was never reported, or too long ago, is not
+shown as present. Times are seconds since scan 0; earlier times are negative.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ At such a speed, individual cycles cannot be seen, and rig and analysis need the
 FOLLOWED = 4.5
 """Speed (rig time over real time) up to which the motion is drawn.
 
-Above it the motion cannot be followed by eye, and publishing it would slow the rig by a tenth.
+At a higher speed the eye cannot follow the motion, and publishing it would slow the rig by a tenth.
 """
 T = TypeVar("T")
 STALE_S = 3.0  # time after which unchanged rig time counts as standing still
 STANDING = (states.RigWord.INACTIVE, states.RigWord.NO_PEER, states.RigWord.SILENT_PEER, states.RigWord.PAUSED)
 """States of the rig in which its time stands still, or has not started."""
-GAP_S = 10.0  # largest interval between two readings from which a speed is computed
+GAP_S = 10.0  # longest time between two readings of the rig time from which a speed is computed
 KNOBS = (
     "barriers.gap_m", "sphere.present", "sphere.start", "contact.law", "contact.restitution", "pluck.displacement_m",
     "shaker.frequency_min_hz", "shaker.frequency_max_hz", "shaker.current_limit_a_rms", "shaker.travel_limit_m",
@@ -66,7 +66,10 @@ KNOBS = (
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
 Answer = Callable[[bool, str], None]
-"""Function that reports the result of a request to the page, as success and a text; called once, from any thread."""
+"""Function that reports the result of a request to the page: whether it succeeded, and a text.
+
+It is called once for each request, from any thread.
+"""
 DEAD_S = 4.0  # time after which a silent node counts as absent
 
 
@@ -78,7 +81,7 @@ class Seen:
     reason: str = ""  # reason for this state, in the words of the node
     instance: str = ""  # identifier of the activation of the node that reported it
     age_s: float | None = None  # age of the report [s]; None if there was none
-    ended: str = ""  # how the process of the node ended; empty if it is running, or the lab did not start it
+    ended: str = ""  # text on how the process of the node ended; empty if it runs, or the lab did not start it
     figures: Mapping[str, str] = attrs.field(factory=dict)  # all values in its diagnostics, by key
 
     @classmethod
@@ -86,10 +89,10 @@ class Seen:
         """Create the report of a node from its diagnostics.
 
         Args:
-            node: name of the node, which determines the known state words; an unknown word counts as none.
+            node: name of the node, which determines the known state words; an unknown word becomes empty.
             figures: values of its diagnostics, by key.
             age_s: age of the report [s].
-            ended: how the process of the node ended.
+            ended: text on how the process of the node ended; empty if it did not.
         """
         state = figures.get("state", "")
         known = {one.value for one in states.BY_NODE[node]} if node in states.BY_NODE else set()
@@ -182,13 +185,13 @@ def capitalised(text: str) -> str:
 
 
 class Pace:
-    """Measurement of the speed of rig time (rig seconds per real second), from readings once or twice a second.
+    """Measurement of the speed of rig time (rig seconds per real second), from readings of the rig time.
 
     Args:
         clock: clock for real time [s].
 
     Attributes:
-        speed: speed from the last two different readings; it is not reset while rig time stands still by itself.
+        speed: speed from the last two different readings; it stays the same while the readings do not change.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -208,12 +211,12 @@ class Pace:
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
-        """Add a reading of the rig time, and return the present speed; 0 if rig time stands still.
+        """Add a reading of the rig time, and return the present speed; 0 if the rig time has not changed for 3 s.
 
         Args:
             rig_s: rig time [s].
             instance: identifier of the rig's activation; the speed is computed only from readings of the same one.
-            stands: whether the state of the rig implies that its time stands still.
+            stands: whether the state of the rig implies that its time stands still; the speed is then 0 at once.
         """
         now = self._clock()
         if instance != self._instance or stands:
@@ -242,7 +245,7 @@ def choices() -> dict[str, Any]:
 
 SIZES = {"accelerometer": 5.0, "laser": 1e-3, "base": 1e-4, "current": 0.1}
 """Suggested size of a fault in the SI unit of each channel: large enough to be seen, too small to trip the rig."""
-NOISE = 0.1  # suggested rms of added noise, as a fraction of that size
+NOISE = 0.1  # suggested rms of added noise, as a fraction of the size in `SIZES`
 SIZE_NAMES = {
     "gain_error": "fraction",
     "added_noise": "rms",
@@ -256,8 +259,9 @@ def _fault_form(kind: str) -> dict[str, Any]:
     """Return the content of the page's input form for a kind of instrument fault.
 
     The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it has a
-    rate) and `sizes` by channel, which is empty for a fault of the board. A size has a name, a default in the `unit` of
-    the page, and `scale`, which is one such unit in the unit of the rig. A kind of fault without a size has no `sizes`.
+    rate) and `sizes` by channel; a fault of all channels has its size under an empty name. A size has a name, a default
+    in the `unit` of the page, and `scale`, the size of this unit in the unit of the rig. If a kind of fault has no
+    size, `sizes` is empty.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
@@ -283,9 +287,9 @@ def figure(value: str | None) -> float | None:
 def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, Any]:
     """Return whether the newest measurement applies now (`holds`), and the progress of the next one, for the page.
 
-    It applies if `judge` returns `measured` for the same arguments, and also while such a rig is paused. The progress
-    consists of the windows `done` and needed (`of`), the `rest` of the transient, and the time without impacts
-    (`quiet`) and its limit.
+    The measurement applies if `judge` returns `measured` for the same arguments, or would if the rig were not paused.
+    The progress consists of the number of settling windows `done` and needed (`of`), the remaining fraction of the
+    transient (`rest`), and the time without impacts (`quiet`) [s] and its limit (`quiet_of`) [s].
 
     Args:
         rig: last report of the rig.
@@ -320,7 +324,7 @@ class Snapshot:
         self.version = 0
 
     def put(self, **parts: Any) -> None:
-        """Set parts by name, all at once: a session sees all of them or none.
+        """Set parts by name, all at once: a session that reads meanwhile gets all new parts or none of them.
 
         A part that equals the present one does not count as a change.
         """
@@ -404,15 +408,15 @@ class Source(abc.ABC):
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
         """Call a function that is a part of the source's work; if it fails, count the failure under the name `what`.
 
-        The loop of the source must continue in any case, because STOP is sent from it. Returns the result of the
-        function, or None if it has failed.
+        The loop of the source must continue in any case, because it also sends STOP. Returns the result of the
+        function, or None if the function has failed.
         """
         return guard(self.failures, what, work)
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
-        """Update the snapshot from functions, and request the prediction for the present settings.
+        """Update the snapshot with the results of functions, and request the prediction for the present settings.
 
-        A function that fails is counted and does not prevent the update of the other parts.
+        If a function fails, the failure is counted, and the other parts are updated all the same.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.

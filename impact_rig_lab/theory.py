@@ -13,9 +13,9 @@
 # limitations under the License.
 """Theoretical curves of DT over frequency at the present settings of the rig, which the page draws with measurements.
 
-They are the closed form without the sphere, motions with two symmetric impacts per cycle, and branches computed before.
-The second ones take some tenths of a second: a thread of low priority computes them when gap, current, sphere, law or
-another relevant value has changed, and skips outdated requests.
+They are the closed form without the sphere, a prediction of motions with two symmetric impacts per cycle, and branches
+that `impact-rig dynamics continue` has computed before. The prediction takes some tenths of a second. A thread of low
+priority computes it when gap, current, sphere, law or another relevant value has changed, and skips outdated requests.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, fields, from_flat, to_flat
 from impact_rig.rig.journal import is_mechanics
 
-GENTLE = 10  # priority (nice) of the lab's threads: on a busy machine pictures are late, not blocks
+GENTLE = 10  # niceness of the lab's threads: on a busy machine the pictures of the page are late, not the rig's blocks
 KIND, WAVEFORM = "drive.kind", "drive.waveform"
 DECIDING = (*(name for name, _, _ in fields() if is_mechanics(name)), KIND, WAVEFORM)
 """Configuration values that a prediction depends on."""
@@ -44,14 +44,14 @@ FREQUENCIES_HZ: NDArray[np.float64] = np.unique(
 """Frequencies of the prediction: the initial range of the page's axis, denser near the resonance."""
 IMPACTS_PER_CYCLE = 2  # number of impacts per cycle of the predicted motions
 OTHER_MOTION = 0.05
-"""Difference of impacts per cycle above which a measured motion counts as another one than the predicted one.
+"""Difference in impacts per cycle above which the measured motion is not the predicted one.
 
-Impacts that the sensor misses occasionally make a smaller difference.
+Impacts that the accelerometer misses occasionally make a smaller difference.
 """
 HELD = {"current": (1.0, "A"), "prescribed": (1e6, "µm")}
-"""Kinds of drive for which there is a prediction (constant current, or constant motion of the inferior base).
+"""Kinds of drive for which there is a prediction: constant current, or constant motion of the inferior base.
 
-Each has the factor and the unit in which the page shows the amplitude.
+The values are the factor from the SI unit of its amplitude to the unit of the page, and that unit.
 """
 
 
@@ -88,8 +88,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
-        `lines`: each [whether it is stable, [[frequency in Hz, DT], ...]], `words`: description of the motions for the
-            user, or the reason why there are none, and `impacts`: impacts per cycle, only if there is a motion.
+        A mapping with `lines`, each [whether the motion is stable, [[frequency in Hz, DT], ...]]; `words`, which
+            describe the motions to the user, or say why there are none; and, only if there is a motion, `impacts`, the
+            number of impacts per cycle.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
@@ -123,7 +124,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return a sentence for the page if the measured motion is another one than the predicted one; otherwise "".
+    """Return a sentence for the page if the measured motion is not the predicted one; otherwise an empty text.
 
     Args:
         prediction: result of `predicted`.
@@ -143,7 +144,7 @@ class Continued(NamedTuple):
 
     values: Mapping[str, Any]  # configuration values of `DECIDING` for which they were computed, without sphere.start
     amplitude: float  # peak amplitude of the drive for which they were computed; unit by `drive.kind`
-    lines: list[list[Any]]  # DT over frequency, in the form of `predicted`
+    lines: list[list[Any]]  # DT over frequency, in the form of `lines` of `predicted`
     title: str  # title of the study
 
     def exists(self, values: Mapping[str, Any], amplitude: float) -> bool:
@@ -192,7 +193,7 @@ def continued(directory: Path) -> Continued:
 def _parts(
     frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
 ) -> Iterator[list[Any]]:
-    """Yield the alternately stable and unstable parts of a branch as lines in the form of `predicted`.
+    """Yield the stable and unstable parts of a branch, in turn, in the form of `lines` of `predicted`.
 
     Successive parts share a point, so that the drawn line has no gap.
 
@@ -216,11 +217,11 @@ class Theory:
         on_prediction: function that receives each prediction, in a thread of this object.
 
     Attributes:
-        branches: motions computed before; those that exist at the requested settings are added to the prediction.
+        branches: branches computed before; those computed for the requested settings are added to the prediction.
     """
 
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:
-        self.branches: Sequence[Continued] = ()  # continued motions, which are drawn as well where they exist
+        self.branches: Sequence[Continued] = ()
         self._on_prediction = on_prediction
         self._newest: tuple[dict[str, Any], float] | None = None
         self._computing = threading.Lock()
@@ -239,13 +240,13 @@ class Theory:
             threading.Thread(target=self._compute, args=(wish,), name="lab-theory", daemon=True).start()
 
     def close(self) -> None:
-        """Drop all requests, also later ones, and wait for the end of a running prediction, which is not reported."""
+        """Drop all requests, including later ones, and wait until a running computation ends; its result is dropped."""
         self._closed, self._newest = True, None
         with self._computing:
             pass
 
     def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
-        """Compute the prediction for a request after any running one, and report it unless there is a newer request."""
+        """Compute the prediction for a request when no other one is running; drop it if there is a newer request."""
         lower_priority()
         with self._computing:
             if wish is not self._newest:
@@ -256,7 +257,7 @@ class Theory:
                 found = {"lines": [], "words": f"No prediction: {error}"}
             for one in self.branches:
                 if one.exists(*wish):
-                    words = f"{found['words']} Also motions of the model: {one.title}."
+                    words = f"{found['words']} Also drawn: motions of the model ({one.title})."
                     found = {**found, "lines": [*found["lines"], *one.lines], "words": words}
             if wish is self._newest:
                 self._on_prediction(found)

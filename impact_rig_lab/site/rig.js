@@ -2,7 +2,11 @@
 
 export const QUANTITIES = ["x_b", "x_1", "x_2", "v_b", "v_1", "v_2", "a_b", "a_1", "a_2", "current", "force_left", "force_right"];
 export const TICK_S = 0.01, MOST_TICKS = 25;
-const ERRORS = { [-1]: "a value is out of range", [-2]: "the motion cannot be resolved", [-3]: "too many contacts" };
+const ERRORS = {
+  [-1]: "the frequency, current or gap is out of range; choose another value",
+  [-2]: "the motion cannot be resolved numerically; choose other values and reset the rig",
+  [-3]: "too many contacts of the sphere in one step of the simulation; choose other values and reset the rig",
+};
 
 export class Rig {
   /** @param {WebAssembly.Module} module @param {ArrayBuffer} snapshot of a rig @returns {Promise<Rig>} */
@@ -17,7 +21,7 @@ export class Rig {
     const at = calls.malloc(snapshot.byteLength);
     new Uint8Array(calls.memory.buffer, at).set(new Uint8Array(snapshot));
     this.rig = calls.ir_rig_new(at, snapshot.byteLength);
-    if (!this.rig) throw new Error("the snapshot belongs to another version");
+    if (!this.rig) throw new Error("the snapshot of the rig was made by another version of impact_rig; build this page again");
     this.channels = Number(calls.ir_rig_channels(this.rig));
     this.room = calls.malloc(8 * QUANTITIES.length);
   }

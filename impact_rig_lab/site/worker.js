@@ -30,7 +30,7 @@ function turn() {
   }
 }
 
-/** SHA-256 of the readings of some seconds from a reset, channel by channel. */
+/** Reset the rig, simulate some seconds, and return the SHA-256 of the readings, channel after channel. */
 async function digest(seconds) {
   rig.reset();
   rig.command(drive.frequency, drive.amplitude);

@@ -17,7 +17,7 @@ export class Link {
     /** @type {Map<number, (answer: {ok: boolean, text: string}) => void>} */
     this.waiting = new Map();
     this.view = null;
-    /** @type {string | null} instance of the rig shown: requests are for it alone */
+    /** @type {string | null} instance of the rig that the page shows; the lab rejects requests for another instance */
     this.rig = null;
     this.connect();
   }

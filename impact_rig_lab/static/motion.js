@@ -92,9 +92,9 @@ export class Motion {
   }
 
   /**
-   * Return the peak force of the strongest impact on a wall shortly before a time.
-   * @param {number} t time [s] @param {number} wall -1 or 1 @param {number} memory duration of the glow [s]
-   * @returns {{force: number, age: number} | null}
+   * Return the newest impact on a wall shortly before a time.
+   * @param {number} t time [s] @param {number} wall -1 or 1 @param {number} memory longest age of an impact [s]
+   * @returns {{force: number, age: number} | null} peak force [N] and age [s], null without an impact
    */
   flash(t, wall, memory) {
     let found = null;
@@ -105,9 +105,9 @@ export class Motion {
   }
 }
 
-/** A clock that follows the newest data at a steady pace, a little behind them. */
+/** A clock that advances at a steady pace, a little behind the newest data. */
 export class Clock {
-  /** @param {number} delay lag behind them [s] */
+  /** @param {number} delay time behind the newest data at real-time speed [s] */
   constructor(delay) {
     this.delay = delay;
     this.time = NaN;

@@ -45,7 +45,7 @@ export class Player {
   /** @param {number} seconds */
   jump(seconds) { if (this.state) this.ask("seek", { value: this.state.now + seconds }); }
 
-  /** @param {any} state part `playback` of the snapshot @param {any[]} journal @param {number[]} impacts number in every part of the run */
+  /** @param {any} state part `playback` of the snapshot @param {any[]} journal @param {number[]} impacts number of impacts in each of many equal parts of the run */
   show(state, journal, impacts) {
     this.state = state;
     this.journal = journal ?? [];
@@ -69,7 +69,7 @@ export class Player {
     const { g, w, h } = paper(byId("marks"));
     const { begin, end } = this.state;
     const at = (time) => 8 + (time - begin) / Math.max(1e-9, end - begin) * (w - 16);
-    g.fillStyle = colour("grey"); // impacts as density: number per thousandth of the run
+    g.fillStyle = colour("grey"); // number of impacts in each part of the run, as the height of a bar
     const most = Math.max(1, ...impacts);
     impacts.forEach((count, i) => {
       if (!count) return;

@@ -2,7 +2,7 @@
 
 /** @typedef {"pending" | "refused" | "active"} KnobState */
 
-/** States of the knobs: between a request and its answer, the rig's old value must not return to the field. */
+/** States of the knobs: while a request waits for its answer, the field keeps the requested value, not the rig's old one. */
 export class Knobs {
   constructor() {
     /** @type {Map<string, {state: KnobState, request: number, words: string}>} */
@@ -31,12 +31,12 @@ export class Knobs {
   /** @param {string} name @returns {boolean} whether the field may show the active value */
   follows(name) { return this.state(name) !== "pending"; }
 
-  /** Drop rejections: the values may be accepted now. */
+  /** Forget the rejections, because the values may be accepted now. */
   forgive() {
     for (const [name, knob] of this.all) if (knob.state === "refused") this.all.delete(name);
   }
 
-  /** Reject pending requests: the connection is lost. */
+  /** Reject all pending requests, because the connection is lost. */
   lose() {
     for (const [name, knob] of this.all) {
       if (knob.state === "pending") this.all.set(name, { ...knob, state: "refused", words: "the connection was lost before the answer" });

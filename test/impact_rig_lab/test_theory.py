@@ -172,7 +172,7 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
         one.close()
         plain = of(gap_m * 1e3, amplitude)["lines"]
         assert found["lines"] == [*plain, *(island.lines if here else [])]
-        assert found["words"].endswith("Also motions of the model: island.") == here
+        assert found["words"].endswith("Also drawn: motions of the model (island).") == here
     assert [lasts for lasts, _ in island.lines] == [True, False]
     rig = MapRig(from_flat(RigConfig(), {"barriers.gap_m": 0.006}), Settings())
     rig.reset()
