@@ -467,7 +467,7 @@ class RigView:
         found += [f"{fault} was active during the measurement (truth)" for fault in over]
         view, change = self.journal.at(LAST_NS if at_ns is None else at_ns)
         if change is not None and not came_before(change.stamp_ns, row):
-            found.append(f"{plain(change.name or change.kind.value)} was changed after the measurement began")
+            found.append(f"the rig was changed after the measurement began ({plain(change.name or change.kind.value)})")
         configuration = self.journal.configuration if at_ns is None else view.configuration
         gap_m: Any = configuration["barriers.gap_m"] if configuration["sphere.present"] else 0.0
         if abs(row.gap_m - gap_m) > SAME_M:  # not without a label

@@ -213,18 +213,19 @@ def test_a_measurement_is_current_until_a_change_and_from_the_first_row_after_it
         fault = Fault(kind=key, channel="laser") if kind == "fault" else None
         record.journal.add(JournalEntry(second, InputKind(kind), 0, second * 10**9, name=key, value=1.0, fault=fault))
 
+    changed = "the rig was changed after the measurement began (contact.restitution)"
     for second, what, doubts in (
         (2, ("command", "frequency"), []), (6, None, []), (7, ("fault", "dropout"), []),
-        (8, ("parameter", "contact.restitution"), ["contact.restitution was changed after it began"]),
-        (10, None, ["contact.restitution was changed after it began"]), (12, None, []),
-        (13, ("reset", ""), ["reset was changed after it began"]),
+        (8, ("parameter", "contact.restitution"), [changed]),
+        (10, None, [changed]), (12, None, []),
+        (13, ("reset", ""), ["the rig was changed after the measurement began (reset)"]),
     ):  # fmt: skip
         if what is None:
             record.curve.add(Table(second * 10**9, row))
         else:
             add_to_journal(second, *what)
         assert record.doubts() == doubts, second
-    assert record.doubts(9 * 10**9) == ["contact.restitution was changed after it began"]
+    assert record.doubts(9 * 10**9) == [changed]
     assert record.doubts(7 * 10**9) == []
 
 
@@ -274,7 +275,7 @@ def test_a_measurement_with_another_gap_than_the_rig_is_not_current() -> None:
         row["gap"] = label_m
         record.curve.add(Table(6 * 10**9, row))
         assert len(record.doubts()) == len(record.doubts(7 * 10**9)) == doubts
-    assert record.doubts() == ["its label says a gap of 0 mm, the rig has 6 mm"]
+    assert record.doubts() == ["its label states a gap of 0 mm, the rig has 6 mm"]
 
 
 def test_a_fault_before_a_reset_is_not_active_in_playback() -> None:
