@@ -52,7 +52,7 @@ def add_command(commands: Commands) -> None:
         [
             ("lab", "starts a rig and opens its page"),
             ("lab --sample", "plays back a short run; needs no ROS 2"),
-            ("lab --branches runs/dynamics_over_frequency", "draws continued motions next to the measurements"),
+            ("lab --branches runs/dynamics_over_frequency", "draws branches of periodic motions with the measurements"),
             ("lab runs/demo/gap_2mm runs/demo/gap_10mm", "two recorded runs side by side"),
         ],
     )

@@ -263,10 +263,10 @@ class Gateway:
         if action is None:
             answer(False, f"{request.do}: a live rig cannot do that, only a recorded run")
         elif why := self._gone(instance):
-            answer(False, f"{why}: not sent")
+            answer(False, f"{why}; the request was not sent")
         else:
             if request.do == "stop":
-                self.end("an emergency stop was requested meanwhile", bound=True)
+                self.end("cancelled, because an emergency stop was requested", bound=True)
             running = _Running(answer, instance, asyncio.ensure_future(action(**request.values)))
             self._running.add(running)
             running.task.add_done_callback(lambda _task: self._done(running))
@@ -575,7 +575,7 @@ class Gateway:
             states.RecorderWord.FAILED,
             states.RecorderWord.IDLE,
         )
-        return "noted" if records else "shown on the page; no recording is running"
+        return "remark recorded" if records else "remark shown on the page, but no recording is running"
 
     async def do_record(self, value: bool) -> str:  # value of the request
         """Start a new recording if `value` is true, otherwise stop the present one."""
@@ -590,9 +590,9 @@ class Gateway:
         recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")
         if recorder.lives:
-            raise Refused("the recorder is running: nothing to recover")
+            raise Refused("the recorder is running, so there is nothing to recover")
         if not directory:
-            raise Refused("the recorder has reported no recording: nothing to recover")
+            raise Refused("the recorder has reported no recording, so there is nothing to recover")
         target = Path(f"{directory}_recovered")
         await asyncio.to_thread(recover, directory, target)
         return f"recovered into {target.name}"
@@ -610,7 +610,7 @@ class Gateway:
             raise Refused("this lab did not start the rig: restart it where it was started")
         ended = [name for name in own.processes.running if own.ended(name)]
         if not ended:
-            raise Refused("all processes are running: there is none to restart")
+            raise Refused("all processes of this lab are running, so there is none to restart")
         if "rig" in ended:
             self.record.knobs, self.record.configuration = {}, ""
         for name in ended:

@@ -113,7 +113,7 @@ class LiveSource(Source):
             finally:
                 self.guard("state", self._tell)  # the last report of the recorder contains its directory
                 if self._gateway is not None:
-                    await self._gateway.close("the lab shows another rig now")
+                    await self._gateway.close("cancelled, because the lab shows another rig now")
                 self._client.close()
 
     async def _serve(self) -> None:
@@ -206,7 +206,7 @@ class LiveSource(Source):
         record.told_start_ns = LAST_NS if _waits(rig) else _stamp(rig.figures.get("start_ns", ""))
         doubts = self.guard("doubts", record.doubts)
         if doubts is None:
-            doubts = ["the lab could not determine whether it applies"]
+            doubts = ["the lab could not determine whether the measurement applies now"]
         parts: dict[str, Callable[[], Any]] = {
             "sources": lambda: {node: one.part() for node, one in seen.items()},
             "rig": lambda: self._rig(seen, doubts),

@@ -61,7 +61,7 @@ class RequestError(ImpactRigError, ValueError):
 
 
 class FrameKind(enum.IntEnum):
-    """Kind of a frame: the first byte, which tells the page how to read the rest; see the module's description."""
+    """Kind of a frame: its first byte, which determines the format of the rest (see the top of this module)."""
 
     STATE = 1
     REPLY = 2
@@ -293,7 +293,7 @@ def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.flo
     """Return a frame with the amplitude spectrum of a channel.
 
     Args:
-        number: epoch of the record, as for `rows_frame`.
+        number: epoch of the record (`RigView.epoch`).
         resolution_hz: distance between two lines of the spectrum.
         amplitudes: peak amplitudes of the lines from 0 Hz on.
         channel: index of the channel in `CHANNELS`.

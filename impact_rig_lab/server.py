@@ -70,6 +70,7 @@ NO_DESCRIPTOR_S = 0.1  # delay until the next connection is accepted after a fai
 MOST_RUNS = 200  # largest number of recorded runs that are listed
 MOST_AT_ONCE = 2  # largest number of runs on one page
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+_WRONG_ADDRESS = "the token in the address is missing or wrong: copy the address from the terminal of the lab"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -513,7 +514,7 @@ class Server:
         origin = request.headers.get("Origin")
         allowed = {f"http://{host}" for host in self._hosts()} | {f"http://{request.host}"}
         if origin is not None and origin not in allowed:
-            return self._refuse("origin", "pages of other origins may not access this lab")
+            return self._refuse("origin", "pages of other web sites may not access this lab")
         return None
 
     def _close_after(self, response: web.StreamResponse) -> None:
@@ -546,9 +547,11 @@ class Server:
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if not self._known(request):
-            return self._refuse("token", "the token in the address of the lab is missing or wrong")
+            return self._refuse("token", _WRONG_ADDRESS)
         if request.headers.get("Origin") is None:
-            return self._refuse("origin", "the request does not name the origin of its page (header Origin)")
+            return self._refuse(
+                "origin", "the request lacks the header Origin, by which a browser states from which site its page is"
+            )
         if self._pages >= MOST_PAGES:
             return self._refuse("too many pages", f"{MOST_PAGES} pages of this lab are open already: close one", 503)
         self._pages += 1
@@ -597,7 +600,7 @@ class Server:
 
     async def _list_runs(self, request: web.Request) -> web.Response:
         if not self._known(request):
-            return self._refuse("token", "the token in the address of the lab is missing or wrong")
+            return self._refuse("token", _WRONG_ADDRESS)
         found = await asyncio.to_thread(self._described_runs)
         return web.json_response(found)
 

@@ -232,7 +232,7 @@ class Pace:
 def choices() -> dict[str, Any]:
     """Return the choices that the controls of the page offer: contact laws, starts of the sphere, faults, channels.
 
-    For faults, see `_fault_form`.
+    The value of a kind of fault is the content of its input form.
     """
     about = {name: info for name, info, _ in fields()}
     return {

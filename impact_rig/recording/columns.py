@@ -67,7 +67,8 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             dtype = table.rows.dtype
         elif dtype != table.rows.dtype:
             raise RecordingError(
-                f"topic {topic} changes its columns at the stamp {table.stamp_ns} ns, so its rows do not form one table"
+                f"topic {topic} changes its columns at the stamp {table.stamp_ns} ns, so its rows do not form one "
+                "table; read its messages one by one with Run.tables in Python"
             )
         origin_ns = table.stamp_ns if origin_ns is None else origin_ns
         tables.append(table)
@@ -77,13 +78,13 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             yield _joined(tables, earlier, origin_ns)
             tables, earlier, waiting = [], [], 0
     if dtype is None:
-        raise RecordingError(f"topic {topic} holds no message, so its columns are unknown")
+        raise RecordingError(f"topic {topic} has no message in this recording, so its columns are unknown")
     if tables:
         yield _joined(tables, earlier, origin_ns or 0)
 
 
 def complete(parts: Iterator[Columns]) -> Columns:
-    """Join batches of the same columns, at least one, into complete columns."""
+    """Join batches, at least one and all with the same columns, into one array per column."""
     found = list(parts)
     return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 

@@ -191,7 +191,7 @@ _MAX_TYPES = 200  # far above every message of common_interfaces; stops circular
 
 
 def interface_prefixes() -> tuple[Path, ...]:
-    """Return the directories where interfaces may be installed: the sourced ROS first, then this Python environment."""
+    """Return the directories in which `.msg` files may be installed: those of the sourced ROS, then of this Python."""
     sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return tuple(Path(prefix) for prefix in [*sourced, sys.prefix] if prefix)
 
@@ -200,7 +200,7 @@ def schema_text(type_name: str) -> str:
     """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), followed by those of the types it uses.
 
     Raises:
-        RecordingError: as for `definitions`.
+        RecordingError: the type or one that it uses is missing, or the name is not that of a message type.
     """
     (_, first), *others = definitions(type_name).items()
     return "\n".join([first, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)])
@@ -209,7 +209,8 @@ def schema_text(type_name: str) -> str:
 def definitions(type_name: str) -> dict[str, str]:
     """Return the `.msg` texts of `type_name` and of each type it uses, by `package/Type`, its own first.
 
-    The search for `share/<package>/msg/<Type>.msg` covers all `interface_prefixes`, then the texts of this package.
+    The text of a type is the first file `share/<package>/msg/<Type>.msg` found in the `interface_prefixes`, or else
+    the text in this package.
 
     Raises:
         RecordingError: the type or one that it uses is missing, or the name is not that of a message type.

@@ -53,7 +53,7 @@ Publishers = Callable[[str], Mapping[str, str]]
 
 @attrs.define
 class PublisherStream:
-    """Counts of the messages that one publisher has sent on one topic."""
+    """Counts of the received and lost messages of one publisher on one topic."""
 
     publisher: str  # name of the publisher if it is certain, else empty
     first: int  # sequence number of its first message; earlier messages do not count as lost
@@ -62,7 +62,7 @@ class PublisherStream:
     lost: int = 0  # number of missing messages between `first` and `newest`
 
     def take(self, sequence: int) -> None:
-        """Count a message of this publisher as received, and those between the newest one and it as lost."""
+        """Count the message with this sequence number as received, and those between the newest one and it as lost."""
         self.lost += sequence - self.newest - 1
         self.received += 1
         self.newest = sequence

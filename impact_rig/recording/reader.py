@@ -205,10 +205,10 @@ class Run:
         return self.record(RECORD_NAME)
 
     def record(self, name: str) -> dict[str, str]:
-        """Return the content of the last metadata record of a name, checked by its own checksum.
+        """Return the content of a metadata record, after a check with the checksum that the content contains.
 
         Args:
-            name: name of the record.
+            name: name of the record; if the run has several of this name, the last one is returned.
 
         Returns:
             The content; empty if there is no such record.
@@ -290,10 +290,10 @@ class Run:
         return name.removeprefix(self.prefix) if name.startswith(self.prefix) and not others else None
 
     def resolve(self, wanted: str | Topic) -> str:
-        """Return the full name of a topic, as `name` does, and check that the topic was recorded.
+        """Return the full name of a topic, and check that the topic was recorded.
 
         Args:
-            wanted: a topic or its name.
+            wanted: a topic or its name; a relative name is completed with the rig's namespace.
 
         Raises:
             RecordingError: the topic was not recorded; or there are several rigs, and none was chosen.
@@ -385,7 +385,7 @@ class Run:
             ) from error
 
     def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:
-        """Yield the tables of a topic as `tables` does, each with its message.
+        """Yield the messages of a table topic in log-time order, each with its decoded table.
 
         Args:
             topic: name of the topic.
@@ -394,7 +394,8 @@ class Run:
             Pairs of message and table.
 
         Raises:
-            RecordingError: as for `tables`.
+            RecordingError: the topic is missing or carries no tables (raised by the call itself); or a chunk is
+                damaged, or a message is not a valid table (raised when it is read).
         """
         name = self._table_topic(topic)
         return ((message, self.table(message)) for message in self.messages([name]))
@@ -411,7 +412,8 @@ class Run:
             began. `time` counts from the first scan of the recording, without scans from the first message.
 
         Raises:
-            RecordingError: as for `tables`; or the topic holds no message or changes its columns.
+            RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk
+                or message is damaged.
             ImpactRigError: pandas is not installed.
         """
         return columns.to_dataframe(self, topic)
@@ -427,7 +429,8 @@ class Run:
             `timestamp` and `earlier`, as in `to_dataframe`.
 
         Raises:
-            RecordingError: as for `tables`; or the topic holds no message or changes its columns.
+            RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk
+                or message is damaged.
             ImpactRigError: xarray is not installed.
         """
         return columns.to_xarray(self, topic)
@@ -534,7 +537,7 @@ class Run:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Add the path of a run or file to a budget error that the body raises."""
+    """Put the path of a run or file in front of the message of a BudgetError that the `with` block raises."""
     try:
         yield
     except BudgetError as error:
@@ -919,7 +922,7 @@ class McapSource:
             raise DamageError("the file is shorter than its index says")
         found, content, end = records.split(view, 0)
         if found != opcode or end != length:
-            raise DamageError("there is another record at its position")
+            raise DamageError("the record at its position is of another kind or length")
         return content
 
 

@@ -93,14 +93,14 @@ class RunWriter:
         directory: the run directory, created with its parents; files are named after it. It may exist, but must belong
             to this user and contain neither `*.mcap`, `*.mcap.tail` nor `metadata.yaml`: nothing is overwritten.
         provenance: content of the `impact_rig` metadata record of every file; None means no record.
-        attachments: attachments of every file; see `attach`.
+        attachments: files to store at the start of every MCAP file, until `attach` or `supersede` replaces them.
         account: account of received and lost messages; None means a new one that does not know the publishers.
         closing: function that returns further metadata records by name, which are written at the end of a file. It is
             called once per file.
         clock: monotonic wall clock [s]; decides when an open chunk has been open for `CHUNK_OPEN_S`.
         compression: `none`, `lz4` or `zstd`.
-        chunk_bytes: see `CHUNK_BYTES`.
-        max_file_bytes: size beyond which a new file is started; 0 means one file.
+        chunk_bytes: uncompressed size above which a chunk is closed [bytes].
+        max_file_bytes: size beyond which a new file is started [bytes]; 0 means one file.
         max_file_duration_ns: duration since the first message of a file after which a new one is started; 0 means one
             file.
         tail: whether to keep the messages of the open chunk in a second file (`Tail`), which `secure` needs.
@@ -252,9 +252,17 @@ class RunWriter:
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a given log time [ns], without counting it in the account of losses.
 
-        The other arguments are those of `write`; the topic must be registered. The message never waits for a scan.
+        The message is written even before the first scan.
+
+        Args:
+            topic_name: name of a registered topic.
+            data: CDR bytes.
+            log_time_ns: log time [ns].
+            publish_time_ns: time at which its publisher sent it [ns, Unix].
+            sequence: publication sequence number of the publisher; 0 means none.
 
         Raises:
+            KeyError: the topic is not registered.
             RecordingError: the run had to stop, now or earlier.
         """
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
@@ -329,9 +337,12 @@ class RunWriter:
             self._file.commit()
 
     def supersede(self, attachment: Attachment, instead_of: str = "") -> None:
-        """Replace an attachment in further MCAP files of a split run; arguments as for `attach`.
+        """Replace an attachment in further MCAP files of a split run; the open MCAP file stays unchanged.
 
-        The MCAP file that is open stays unchanged.
+        Args:
+            attachment: the file.
+            instead_of: name of the attachment to replace; if that one is a replacement itself, the name of the first
+                one. An empty name means the attachment with the same name as this one.
         """
         self._attachments[instead_of or attachment.name] = attachment
 
@@ -810,7 +821,7 @@ class McapFile:
 
 
 def _length(record: McapRecord) -> int:
-    """Return the size of an MCAP record in bytes, with its head."""
+    """Return the size of an MCAP record with its head of opcode and length [bytes]."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.count
@@ -821,7 +832,7 @@ def _create(path: Path) -> int:
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:
-        raise RecordingError(f"{path} exists already and is not overwritten") from error
+        raise RecordingError(f"{path} exists already and is not overwritten; choose another directory") from error
     except OSError as error:
         raise RecordingError(f"cannot create {path}: {error.strerror}") from error
     with contextlib.suppress(OSError):  # file systems without locks

@@ -86,7 +86,7 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
     """Write batches of columns to the new file `target`, in the format of its suffix, and return its path.
 
-    `batches` is called after the checks of `target`, and yields columns with the same names each time.
+    `batches` is a function that returns the batches, all with the same columns; it is called once `target` was checked.
 
     Raises:
         RecordingError: the suffix is unknown, or the file exists or cannot be written.
@@ -94,7 +94,7 @@ def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Pat
     write = _WRITERS.get(target.suffix)
     if write is None:
         raise RecordingError(f"the name of the new file {target} must end in one of {', '.join(_WRITERS)}")
-    kept = RecordingError(f"{target} exists already and is not overwritten")
+    kept = RecordingError(f"{target} exists already and is not overwritten; choose another name")
     if os.path.lexists(target):
         raise kept
     try:

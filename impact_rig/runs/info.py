@@ -313,7 +313,8 @@ def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]
 
     A file does not name the sender of a message. The sequence numbers in the files are therefore compared with those of
     all publishers together: no number may occur more often than there are publishers that sent it. Both results are 0
-    if some messages have no sequence number.
+    if this comparison is impossible: some messages have no sequence number, or the account lacks the numbers of some
+    publishers.
 
     Args:
         numbers: sequence numbers of the messages of a topic in the files.
@@ -364,7 +365,10 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time covered by the scans [s]; if stamps go back (a restarted rig), the sum of before and after that."""
+        """Rig time covered by the scans [s].
+
+        If stamps go back because the rig was restarted, the durations before and after that are added.
+        """
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
             if number == 0 or stamp_ns < begin_ns:

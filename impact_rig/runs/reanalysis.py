@@ -227,7 +227,8 @@ def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]
     Args:
         run: an open run.
         topic: the topic.
-        blocks: if given, only the texts that were recorded before block number `blocks` of scans are returned.
+        blocks: if given, only the texts that were recorded before block number `blocks` of scans, counted from 1, are
+            returned; None means all texts.
     """
     if not run.holds(topic):
         return []
@@ -453,7 +454,7 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
     shown = [_number(message.data) for message in run.messages([name], recorded_order=True)]
     settled = [float(row.values["transmissibility"]) for row in live if row.values["settled"] == 1.0]
     if not shown or not settled:
-        return Compared(name, left_out="nothing settled in this run")
+        return Compared(name, left_out="this run has no settled measurement")
     # the two topics may begin and end with different measurements at the ends of a recording
     shift = next((k for k in range(-EDGE, EDGE + 1) if _agree(shown, settled, k)), None)
     if shift is None:

@@ -572,7 +572,7 @@ class _Salvage:
     Args:
         path: the damaged MCAP file, or a tail.
         report: report to which damage is added.
-        accept_unchecked: as for `recover`.
+        accept_unchecked: whether to accept chunks, messages, attachments and metadata without a checksum.
         figures: report of the file; None means a new one, which is added to `report`.
         topics: topics that are already known, by channel id.
     """

@@ -197,7 +197,7 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
         name = source.topics[channel].name if channel in source.topics else f"channel {channel}"
         yield f"its statistics count {claimed.get(channel, 0)} messages of {name}, but it holds {counts[channel]}"
     if times and (statistics.message_start_time, statistics.message_end_time) != (min(times), max(times)):
-        yield "its statistics give other log times than its messages"
+        yield "the first and last log time in its statistics are not those of its messages"
 
 
 def _what(definition: mcap_records.Schema | mcap_records.Channel) -> str:
@@ -210,7 +210,7 @@ def _index_problems(
     assert segment.chunk is not None
     where = f"the index of the chunk at byte {segment.offset}"
     if times and (segment.first_ns, segment.last_ns) != (min(times), max(times)):
-        yield f"{where} gives other log times than its messages"
+        yield f"{where} states a first and last log time that are not those of its messages"
     offsets = segment.chunk.message_index_offsets
     if not offsets:
         return  # message indexes are optional

@@ -61,8 +61,8 @@ _NOT_COMPARED = {
     topics.STREAM.name: "time by which a controller is ahead, which no sample depends on",
     "analysis": "made by the analysis: `impact-rig analyze` compares it",
     "plot": "derived for plotters from tables that are compared",
-    "stepped_sine": "made by an operator from the measurements",
-    "client": "an input: the journal has its effect",
+    "stepped_sine": "made by the node stepped_sine from the measurements",
+    "client": "an input of the rig, whose effect is in the journal",
     "every node": "status reports of nodes",
 }
 """Reason why a topic is not compared, by the name of the topic or of its publisher."""
@@ -474,7 +474,8 @@ class _Recorded:
     def expect(self, stamp_ns: int, content: Any, *, optional: bool = False) -> None:
         """Compare the next recorded message with a re-simulated message; a difference is kept for the result.
 
-        Earlier recorded messages count as differences, or before the first compared message as left out.
+        If recorded messages with earlier stamps precede it, the first of them counts as a difference. Before the first
+        message of the topic has been compared, they are left out instead.
 
         Args:
             stamp_ns: stamp of the re-simulated message [ns].
@@ -610,7 +611,10 @@ class _OtherTopics:
         self._end_ns = 0
 
     def begin(self, journal: list[JournalEntry], following: JournalEntry | None) -> Resimulation:
-        """Start and return the re-simulation of a journal; `following` is the first entry of the next one, or None."""
+        """Start and return the re-simulation of a journal, and prepare the comparison of all topics with it.
+
+        `following` is the first entry of the next journal; None means that there is none.
+        """
         every_scan = self._truth.coming is not None or self._joints.coming is not None
         entries, sent = last_journal(journal), next(sent for one, sent in self._waveforms if one is journal)
         try:
@@ -831,7 +835,7 @@ class _OtherTopics:
         It is compared with the configuration that differs in the fewest values.
         """
         if not self._configurations:
-            return "no journal contains its value"
+            return "the journal contains no configuration to compare it with"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
         key = next(key for key in config if config[key] != nearest[key])
         return f"{key} is {quoted(config[key])}, which it never was according to the journal"
@@ -873,8 +877,8 @@ class _Monitor:
 
         Args:
             stamp_ns: stamp of the message [ns].
-            made: filtered scans of that time, one for each possible number of scans per monitor period, which precedes
-                it.
+            made: pairs of the number of scans per monitor period and the filtered scan at that time, one for each
+                possible rate of the monitor.
             fitted: instruments of all configurations so far.
             calibrations: tables of `daq/info` of all calibrations so far.
         """

@@ -155,7 +155,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write results as JSON, see `plain`, completely or not at all; an existing file is replaced.
+    """Write results as JSON, completely or not at all; an existing file is replaced.
+
+    `plain` converts values for which JSON has no type: NaN and infinite numbers become null, for example.
 
     Raises:
         OSError: the file cannot be written.

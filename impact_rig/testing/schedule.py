@@ -240,7 +240,10 @@ class LocalRigWithNodes(LocalRig):
             self._deliver_messages()
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
-        """Change configuration values, also those of the monitor topics; see `RigDriver`."""
+        """Change configuration values of the rig by full name, and return the new configuration.
+
+        Changes that concern the monitor topics apply to the messages for the hosted nodes as well.
+        """
         config = super().configure(changes)
         if self._monitors is not None:
             self._monitors = Monitors(config, noise_of(self.core.info()), self._monitors)
