@@ -298,7 +298,8 @@ class Gateway:
 
         Args:
             why: reason that their pages receive.
-            bound: whether to cancel only the actions that belong to an activation of the rig, not those of `FREE`.
+            bound: whether to cancel only the actions that were requested for the present rig; those that are allowed
+                for any rig (`FREE`), such as a stop, then continue.
         """
         for running in list(self._running):
             if not bound or running.instance is not None:
@@ -312,7 +313,7 @@ class Gateway:
         """Return the reason why the rig of an action is gone; empty if the rig is there, or the action is for any rig.
 
         Args:
-            instance: activation of the rig for which the action was requested; None means any.
+            instance: identifier of the activation of the rig for which the action was requested; None means any rig.
         """
         if instance is None:
             return ""

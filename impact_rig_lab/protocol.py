@@ -57,7 +57,7 @@ LARGEST_ID = 2**53  # largest id of a request: integers up to it are exact in Ja
 
 
 class RequestError(ImpactRigError, ValueError):
-    """Rejection of an invalid request of a page; the message, which the page shows, says why."""
+    """Error of an invalid request of a page; the message says what is invalid, and the page shows it."""
 
 
 class FrameKind(enum.IntEnum):
@@ -116,7 +116,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def word(*known: str) -> Check:
-    """Return a function that checks that a value of a request is one of some words, and returns it."""
+    """Return a function that checks that a value of a request is one of the texts in `known`, and returns it."""
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:
@@ -127,10 +127,10 @@ def word(*known: str) -> Check:
 
 
 def text(name: str, value: object) -> str:
-    """Check a text in a request that will be published on a topic, and return it.
+    """Check that the value `name` of a request is a text that can be published on a topic, and return it.
 
     Raises:
-        RequestError: it is not a text, is longer than `LONGEST_TEXT`, or contains control characters.
+        RequestError: the value is not a text, is longer than `LONGEST_TEXT`, or contains control characters.
     """
     if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
@@ -141,7 +141,7 @@ def document(name: str, value: object) -> str:
     """Check that the value `name` of a request is a text of any content, such as that of a file, and return it.
 
     Raises:
-        RequestError: it is not a text.
+        RequestError: the value is not a text.
     """
     if not isinstance(value, str):
         raise RequestError(f"{name} must be a text, got {_short(value)}")
@@ -149,10 +149,10 @@ def document(name: str, value: object) -> str:
 
 
 def frequencies(name: str, value: object) -> tuple[float, ...]:
-    """Check a list of frequencies in a request, and return them.
+    """Check that the value `name` of a request is a list of frequencies [Hz], and return them.
 
     Raises:
-        RequestError: it is not a list of 1 to `MOST_FREQUENCIES` numbers within 0.001 and 10000 Hz.
+        RequestError: the value is not a list of 1 to `MOST_FREQUENCIES` numbers within 0.001 and 10000 Hz.
     """
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
         raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers in Hz, got {_short(value)}")

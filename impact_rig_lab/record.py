@@ -340,7 +340,7 @@ class Curve:
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Add the rows of a `transmissibility/table`: all to `judged`, those with a measured value to `part`."""
+        """Add the rows of a `transmissibility/table`: all to `judged`, and those with a measured value for `part`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -355,7 +355,11 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest judgement of the analysis, or the newest that ended up to a rig time; None without one."""
+        """Return the newest row of the analysis, without its numbers; None if there is none.
+
+        Args:
+            at_ns: rig time up to which the scans of the row must have ended [ns]; None means now.
+        """
         rows = [row for row in list(self.judged) if at_ns is None or row.end_ns <= at_ns]
         return rows[-1] if rows else None
 
@@ -614,7 +618,7 @@ def came_before(changed_ns: int, row: Judged) -> bool:
 
 
 def start_ns(info: Table) -> int:
-    """Return the stamp of scan 0 of a rig, from which all times are counted, according to a table of `daq/info`.
+    """Return the stamp of scan 0 of a rig [ns], from which all times are counted, according to a table of `daq/info`.
 
     Raises:
         RecordingError: the table states an invalid time, or has no rows.
@@ -632,7 +636,7 @@ def scan_rate(info: Table) -> float:
     """Return the scans per second of a rig according to a table of `daq/info`.
 
     Raises:
-        RecordingError: the rate is not possible, or too high for the memory of the ring buffers.
+        RecordingError: the rate is below 1 Hz, or too high for the memory of the ring buffers (`HIGHEST_RATE_HZ`).
     """
     rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:

@@ -89,7 +89,7 @@ def check_port(port: int) -> None:
     """Check the number of a TCP port.
 
     Raises:
-        ImpactRigError: it is not a valid port; the message names the range.
+        ImpactRigError: `port` is not within 0 and 65535.
     """
     if not 0 <= port <= HIGHEST_PORT:
         raise ImpactRigError(f"a port must be 0 (any) to {HIGHEST_PORT}, got {port}")

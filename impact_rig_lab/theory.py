@@ -84,7 +84,7 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
     """Compute DT of the motions with two symmetric impacts per cycle over frequency, as lines for the page's curve.
 
     Args:
-        values: configuration values by name; those of `DECIDING` count, others are ignored.
+        values: configuration values by name; names that are not in `DECIDING` are ignored.
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:

@@ -54,7 +54,7 @@ POINTS = 20_000  # limit of the measurements that a campaign requests, including
 
 
 class BudgetError(ImpactRigError):
-    """Rejection of external input whose reading would need more memory or work than a limit allows."""
+    """Error of an external input whose reading would need more memory or work than a limit allows."""
 
 
 def allow(what: str, amount: float, limit: float) -> None:
