@@ -261,7 +261,7 @@ def test_a_topic_without_messages_or_with_changing_columns_is_rejected(record, t
     with open_run(writer.directory) as run:
         with pytest.raises(RecordingError, match="changes its columns at"):
             export(run, "daq/scan", tmp_path / "scan.csv")
-        with pytest.raises(RecordingError, match="holds no message"):
+        with pytest.raises(RecordingError, match="has no message"):
             export(run, "shaker/applied", tmp_path / "applied.csv")
     assert list(tmp_path.glob("*.csv")) == []
     assert list(tmp_path.glob(".*partial")) == []
