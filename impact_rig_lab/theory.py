@@ -88,9 +88,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
-        A mapping with `lines`, each [whether the motion is stable, [[frequency in Hz, DT], ...]]; `words`, which
-            describe the motions to the user, or say why there are none; and, only if there is a motion, `impacts`, the
-            number of impacts per cycle.
+        A mapping with up to three keys. `lines` has a list for each line: [whether the motion is stable, [[frequency in
+            Hz, DT], ...]]. `words` describe the motions to the user, or say why there are none. `impacts` is the number
+            of impacts per cycle, and is absent if there is no motion.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
