@@ -232,7 +232,7 @@ class AddressedActivation:
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
         """Return a check that raises `RigGoneError` once the activation that is addressed now is over.
 
-        It is over if another activation has reported, or if no report has arrived for some time.
+        It is over if another activation has reported, or if no report has arrived for `silence_s` seconds.
 
         Args:
             what: what the rig was asked to do, for the message.
@@ -608,6 +608,8 @@ class Client:
         check: Check = patiently,
     ) -> None:
         """Publish a message as soon as the publisher is connected with all subscribers that the ROS graph lists.
+
+        Later calls for the same topic publish at once, until this client has changed the state of the rig.
 
         Args:
             topic: entry of `impact_rig.topics`.

@@ -570,10 +570,10 @@ class RosRig(RigDriver):
     ) -> RosRig:
         """Restart the nodes with another configuration, in the same processes; return this rig.
 
-        Scan rate, block length and the settings of `time` and `step` stay as they are.
+        Scan rate, block length and the settings of `time` and `step` stay as they are (`FIXED`).
 
         Args:
-            config: new configuration of the rig.
+            config: new configuration of the rig; its values of these settings are not applied.
             analysis: parameters of the analysis, if the rig has one.
             record: directory of the run that the recorder writes from now on; None means no recording.
 

@@ -158,7 +158,7 @@ class RigState:
         missing = "" if readers.all_matched() else ", ".join(readers.missing())
         silent = "" if realtime else ", ".join(session.window.silent())
         if others:
-            yield Problem(Level.ERROR, others, NodeState(words.RIVAL, others))
+            yield Problem(Level.ERROR, f"{others}; end one of them", NodeState(words.RIVAL, others))
         if missing and not realtime:
             waiting = f"waiting for peer {missing} to subscribe to {topics.SCAN.name}"
             level = Level.ERROR if readers.overdue(timing.peer_timeout_s) else Level.WARN
