@@ -563,7 +563,7 @@ class _Profile:
             held[new.e] = new
 
     def _place(self, gap_m: float, theta: Real, gain: float, e: float) -> Place:
-        """Return the rig at a measured gap, driven by the measured current divided by e^`gain`, its relative error."""
+        """Return the rig at a measured gap, driven by the measured current, corrected for its relative error `gain`."""
         config = from_flat(rig(self._known, theta), {"contact.restitution": e})
         return place_of(config, gap_m, self._reduced.frequency_hz, self._reduced.current_a[gap_m] * math.exp(-gain))
 

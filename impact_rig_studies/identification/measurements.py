@@ -58,9 +58,9 @@ GAIN_CURRENT = NUISANCES.index("gain current")
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Stepped sine without the sphere: arrays of shape (n,). x_1 is the superior base, x_b the inferior one."""
+    """Stepped sine without the sphere at n points; x_1, x_b: displacements of superior and inferior base."""
 
-    frequency_hz: Real  # drive frequency of each point
+    frequency_hz: Real  # drive frequency of each point, shape (n,), as all other fields
     dt: Real  # transmissibility |X_1 / X_b|
     phase_rad: Real  # phase of x_1 relative to x_b [rad]
     base_per_a: Real  # amplitude of x_b over amplitude of the current [m/A]

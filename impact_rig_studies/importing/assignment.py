@@ -94,9 +94,9 @@ def guess(source: ImportedSignals) -> Mapping:
 
 
 def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal]) -> str | None:
-    """Return the name of the signal that the first unambiguous hint points to; None if all hints are ambiguous.
+    """Return the name of the signal that the first unambiguous hint points to; None if no hint is unambiguous.
 
-    A hint is unambiguous if exactly one of the signals whose unit is possible for the channel has it in its name.
+    A hint is unambiguous if its word is in the name of exactly one signal whose unit is possible for the channel.
     """
     words = {name: _words(name) for name, one in signals.items() if _fits(one, channel)}
     matching = ([name for name, own in words.items() if hint in own] for hint in hints)
@@ -104,7 +104,7 @@ def _meant(channel: str, hints: Sequence[str], signals: AnyMapping[str, Signal])
 
 
 def _of_one_time_base(signals: AnyMapping[str, Signal]) -> dict[str, Signal]:
-    """Return those time responses, by name, that share the most frequent time base: the channels of a run share one."""
+    """Return the largest group of time responses that share a time base, by name: the channels of a run need one."""
     bases: dict[object, dict[str, Signal]] = {}
     for name, one in signals.items():
         if one.kind is SignalKind.TIME_RESPONSE:
@@ -128,7 +128,7 @@ def _fits(signal: Signal, channel: str) -> bool:
 
 
 def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
-    """Return the reason for the user why no channel uses a signal; empty if it gives the frequency or the gap."""
+    """Return the reason why no channel uses a signal, for the user; empty if the signal gives frequency or gap."""
     if name in (mapping.frequency, mapping.gap):
         return ""
     one = signals[name]

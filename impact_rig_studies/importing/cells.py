@@ -76,12 +76,12 @@ def number(cell: str, decimal: str = ".") -> float | None:
 
 
 def is_unclear(cell: str) -> bool:
-    """Return whether the value of a cell such as `1,234` depends on the decimal sign: 1.234 with a comma, else 1234."""
+    """Return whether the value of a cell depends on the decimal sign, as for `1,234`: 1.234 with a comma, else 1234."""
     return _UNCLEAR.fullmatch(cell.strip()) is not None
 
 
 def without_markers(values: Real) -> Real:
-    """Return numbers with the special values of instruments replaced: 9.91e37 by NaN, ±9.9e37 by ±infinity."""
+    """Return numbers with the special values of SCPI instruments replaced: ±9.91e37 by NaN, ±9.9e37 by ±infinity."""
     size = np.abs(values)
     return np.where(size == SCPI_NAN, np.nan, np.where(size == SCPI_INFINITY, np.copysign(np.inf, values), values))
 
@@ -99,10 +99,11 @@ def half_digit(cell: str) -> float:
 def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
     """Return the decimal sign of a table, `.` or `,`, and whether its cells are evidence of it.
 
-    Cells such as `0,5` or `1.234,5` are evidence; `1,234` or `1.234` alone is not. Whole numbers in the same column,
-    which are written without a sign, decide about it: if all are below 1000, its sign separates groups of digits; if
-    one is above 999, its sign is the decimal sign. Without evidence the decimal sign is a comma if cells contain commas
-    and no points, else a point. If the evidence is contradictory, it is a point.
+    Cells such as `0,5` or `1.234,5` are evidence. A cell such as `1,234` (or `1.234`) alone is not, but whole numbers
+    without a sign in the same column decide about it. If all of these are below 1000, the comma in `1,234` separates
+    groups of digits. If one is above 999, the comma is the decimal sign. If commas separate the cells and no cell
+    contains one, the decimal sign is a point. Without evidence it is a comma if cells contain commas and no points,
+    else a point. If the evidence is contradictory, it is a point.
 
     Args:
         columns: cells of each column.

@@ -124,7 +124,7 @@ def convert(
             if len(source.signals[column].values) != count:
                 raise ConfigError(
                     f"{source.path}: the signal {column!r} for {key} has {len(source.signals[column].values)} values, "
-                    f"but the channels have {count}"
+                    f"but the channels have {count}; state a number instead, or a signal of this length"
                 )
             followed[key] = source.signals[column].values
     grid = uniform(source.path, abscissa, mapping, found, followed)
@@ -221,7 +221,7 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return abscissa and length that all channels share, and by channel the time from the first one's start [s].
+    """Return abscissa and length that all channels share, and by channel how much later it starts than the first [s].
 
     Raises:
         RecordingError: the signals have different times or lengths.
@@ -332,8 +332,8 @@ def _calibration(
 def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
     """Compare a frequency guessed from the file name with the data; return the mapping, and texts for the user.
 
-    If the guess contradicts the frequency of the sine in the data (`measured_hz`, 0 if no sine is clear), this replaces
-    it. `seconds` is the length of the record. The texts also state a guessed gap, which cannot be compared.
+    A guess that contradicts the frequency of the sine in the data (`measured_hz`, 0 if no sine is clear) is replaced by
+    this frequency. `seconds` is the length of the record. The texts also state a guessed gap, which cannot be compared.
     """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):

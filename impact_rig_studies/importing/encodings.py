@@ -32,8 +32,8 @@ SAMPLE = 4096
 def decode(content: bytes) -> tuple[str, str]:
     """Return the text of a file and the name of its encoding.
 
-    A byte order mark decides. Without one it is UTF-16 if many of the first bytes are zero, else UTF-8 if all bytes are
-    valid in it, else cp1252, or Latin-1 if a byte has no meaning in cp1252.
+    A byte order mark decides. Without one, the encoding is UTF-16 if many of the first bytes are zero. Otherwise it is
+    the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid.
     """
     for mark, name in MARKS:
         if content.startswith(mark):

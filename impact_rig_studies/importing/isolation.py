@@ -149,7 +149,7 @@ def _receive(source: int, deadline: float) -> bytes:
     """Return everything that the child writes into a pipe until it closes the pipe.
 
     Raises:
-        TimeoutError: the data continue after the deadline [s of the monotonic clock].
+        TimeoutError: the child has not closed the pipe by the deadline [s of the monotonic clock].
     """
     parts: list[bytes] = []
     while True:

@@ -61,7 +61,7 @@ class Channel:
 
         Raises:
             ConfigError: the unit or the sensitivity is unknown, or belongs to another quantity.
-            RecordingError: the unit is not an ordinary SI unit, and `pint` is not installed.
+            RecordingError: the unit needs `pint` (see `units`), which is not installed.
         """
         allowed = UNITS[name]
         if self.sensitivity:

@@ -119,7 +119,7 @@ class ImportedSignals:
 
     @property
     def begins_s(self) -> float:
-        """First time of the first signal over time in the file [s]; 0 without one, or if `start_ns` is known."""
+        """Time of the first sample of the first signal over time in the file [s]; 0 without one, or with `start_ns`."""
         if self.start_ns is not None:
             return 0.0
         starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)

@@ -55,7 +55,7 @@ Rate = int | float  # scans per second: int for a whole number
 
 @attrs.frozen(eq=False)
 class Grid:
-    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s]."""
+    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s] after scan 0."""
 
     rate_hz: Rate
     index: NDArray[np.int64]  # number of each scan from the first, with gaps where scans are missing, shape (n,)
@@ -115,7 +115,8 @@ def _require_finite(path: Path, name: str, values: Real) -> None:
 def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
     """Return the spline through values at increasing times.
 
-    A cubic makes a sine of 8 values per cycle 6e-4 too small, a spline of degree 5 1e-5. At times that are far from
+    It has degree 5 at nearly uniform times (`REGULAR`), else degree 3, and a lower one for fewer values. At a sine of 8
+    values per cycle, a spline of degree 3 is 6e-4 too small, and one of degree 5 only 1e-5. At times that are far from
     uniform, the higher degree amplifies noise.
     """
     steps = np.diff(times)
@@ -216,7 +217,7 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         )
     times = abscissa.values
     if times is not None and len(times) != count:
-        raise RecordingError(f"{path}: {len(times)} times for {count} values")
+        raise RecordingError(f"{path} has {len(times)} times for {count} values; each value needs one time")
     if abscissa.step is None:
         return times, None
     rate = 1.0 / abscissa.step

@@ -51,7 +51,10 @@ def number(value: float, spec: str = ".6g") -> Cell:
 
 
 def uncertain(value: float, u: float) -> Cell:
-    """Return a cell with a value and, after ±, its expanded uncertainty: `COVERAGE` standard uncertainties `u`."""
+    """Return a cell with a value and, after ±, its expanded uncertainty: `COVERAGE` times the standard uncertainty `u`.
+
+    If `u` is not finite, the cell shows the value alone; if the value is not finite, the cell is empty.
+    """
     if not (math.isfinite(value) and math.isfinite(u)):
         return number(value)
     return Cell(plus_minus(value, u), (value, COVERAGE * u))
@@ -63,7 +66,8 @@ BUDGET_HEADINGS = ("source", "error", "type", "relative u (%)", "u(DT)", "share 
 def budget_rows(found: Budget) -> list[list[str | Cell]]:
     """Return the rows of a table of an uncertainty budget of DT with the columns `BUDGET_HEADINGS`.
 
-    They are its contributions with a share of at least `LEAST_SHARE`, and last the combined standard uncertainty.
+    There is a row for each contribution with a share of the variance of at least `LEAST_SHARE`, and a last one for the
+    combined standard uncertainty.
     """
     relative = found.u_transmissibility / found.transmissibility
     rows: list[list[str | Cell]] = [

@@ -46,7 +46,7 @@ SHOWN_S = 1.0  # duration of the drawn part of a played history, around its larg
 
 @attrs.frozen(eq=False)
 class ResultSummary:
-    """Summary of a test's latest result, for the terminal, the JSON file and the page."""
+    """Summary of the latest result of a test of `impact-rig drive`, for the terminal, the JSON file and the page."""
 
     progress: str  # progress so far, in one line
     figures: Mapping[str, object]  # key figures by name, for the JSON file
@@ -85,7 +85,7 @@ def _is_known(value: object) -> bool:
 def document(
     title: str, about: Sequence[tuple[str, str]], summary: ResultSummary, early: str, *, drawn: bool = True
 ) -> str:
-    """Return the HTML page of a test's results.
+    """Return the HTML page with the results of a test of `impact-rig drive`.
 
     Args:
         title: title of the page.

@@ -189,7 +189,7 @@ def _about(rows: NDArray[np.void], info: NDArray[np.void]) -> Iterator[tuple[str
 
 
 def _span(values: NDArray[np.float64], factor: float, unit: str) -> str:
-    """Return the range of the values > 0 as text, each times `factor`, in `unit`; empty if there are none."""
+    """Return the range of the finite values > 0, times `factor`, as text with `unit`; empty if there are none."""
     known = factor * values[np.isfinite(values) & (values > 0.0)]
     if not len(known):
         return ""

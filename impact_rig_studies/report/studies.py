@@ -256,7 +256,10 @@ def predicted(
 
 
 def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
-    """Return the predicted reduction of DT by gap at one frequency and constant current, or None if no theory applies.
+    """Return the predicted reduction of DT over the gap at one frequency and constant current.
+
+    The prediction is that of stable motions with two impacts per cycle. It is None if this theory does not apply to the
+    rig, or predicts such motions at fewer than two gaps.
 
     Args:
         config: configuration of the rig, whose own gap is ignored.

@@ -69,16 +69,20 @@ class Hdf5Tree:
                 yield name, group[name]
 
     def array(self, name: str, dataset: Any) -> NDArray[Any] | None:
-        """Return the content of a dataset; if it has no data space, add it to `left_out` and return None.
+        """Return the content of a dataset; for an empty one (null data space) return None and add it to `left_out`.
 
         Raises:
             RecordingError: the data are in another file or in other datasets.
             BudgetError: all datasets read so far have more values than a file of this size may contain.
         """
         if dataset.external:
-            raise RecordingError(f"{name} keeps its data in another file, which is not opened")
+            raise RecordingError(
+                f"{name} keeps its data in another file, which is not opened; save the data in the file itself"
+            )
         if dataset.is_virtual:
-            raise RecordingError(f"{name} is a view of other datasets, which are not opened")
+            raise RecordingError(
+                f"{name} is a view of other datasets (virtual), which are not opened; save it as an ordinary dataset"
+            )
         self._values += int(dataset.size or 0)
         check_value_count(self._values, self.file_bytes)
         if dataset.shape is None:

@@ -26,7 +26,10 @@ from impact_rig_studies.importing.signals import ImportedSignals
 
 
 def reserve() -> None:
-    """Make pyarrow's memory pool reserve its addresses, 128 MiB to 1 GiB, before the reader's process limits memory."""
+    """Make pyarrow's memory pool reserve its address space, 128 MiB to 1 GiB.
+
+    This is done before the memory of the reader's process is limited, so that it does not count against the limit.
+    """
     pyarrow = __import__("pyarrow")
     pyarrow.allocate_buffer(1, memory_pool=pyarrow.default_memory_pool())
 
