@@ -87,7 +87,7 @@ def journal_with(number: int, **members: object) -> list[JournalEntry]:
         ({"kind": "parameter", "values": {"daq.sed": 5}}, "unknown configuration value 'daq.sed'"),
         ({"kind": "parameter", "values": {"sphere.start": [1]}}, "sphere.start in the journal must be str"),
         ({"kind": "clear_fault", "value": math.nan}, "number of a fault must be whole, got nan"),
-        ({"kind": "fault"}, "has a fault if it is of kind fault"),
+        ({"kind": "fault"}, "of kind fault needs a fault"),
         ({"kind": "fault", "fault": {"kind": "dropout", "channel": "laser", "seed": "x"}}, "seed of a fault"),
         ({"kind": "fault", "fault": {"kind": "stuck", "channel": "x"}}, "fault in the journal: stuck needs a channel"),
         ({"kind": "pluck", "value": None}, "value of a journal entry must be float"),

@@ -18,8 +18,8 @@
 with the charge in C per m/s² and the amplifier in V/C; ω_n is the mounted resonance, ω_h and ω_l the corners of
 high-pass and low-pass, n the order of the latter.
 
-A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure: the pulse in the reading is longer
-and lower than the real one, and rings. The amplifier clips after its filters.
+A contact of 40 µs excites the 25 kHz resonance as much as it moves the structure. So the pulse in the reading is longer
+and lower than the real one, and the reading rings after it. The amplifier clips after its filters.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ class Accelerometer(Instrument):
     noise_v_rms: float = quantity(
         0.14e-3, "V", "Noise at the amplifier's output, rms within its bandwidth: 5 mg.", at_least=0, at_most=0.1
     )
-    saturation_v: float = quantity(10.0, "V", "The amplifier's output clips here, either side.", above=0)
+    saturation_v: float = quantity(10.0, "V", "Magnitude of the output at which the amplifier clips.", above=0)
     gain_tolerance: float = quantity(0.02, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_v: float = quantity(2e-3, "V", "Limit of the amplifier's offset.", at_least=0, at_most=1)
     inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
-    adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
+    adc_range_v: float = quantity(5.0, "V", "Input range of the converter: ± this voltage.", above=0)
 
     def sensor(self) -> Sensor:
         """Return the model of accelerometer and charge amplifier, from the settings of `instruments.accelerometer`."""
@@ -103,9 +103,9 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu message for one reading [m/s²], with `noise` squared as its variance [m/s², rms].
+        """Return the fields of an Imu message for one reading [m/s²]; its variance is `noise` [m/s², rms] squared.
 
-        Imu has no field for a clipped reading, so `clipped` is ignored.
+        The message type Imu has no field for a clipped reading, so `clipped` is ignored.
         """
         unknown = [0.0, 0.0, 0.0, UNKNOWN_VARIANCE]
         return {

@@ -46,16 +46,16 @@ class Base(Instrument):
     )
 
     half_range_m: float = quantity(12.5e-3, "m", "Half of the measuring range.", above=0, at_most=5)
-    output_v: float = quantity(10.0, "V", "Output at the end of the range.", above=0)
+    output_v: float = quantity(10.0, "V", "Magnitude of the output at either end of the range.", above=0)
     bandwidth_hz: float = quantity(1e3, "Hz", "Corner of its two-pole (Butterworth) filter.", above=0)
     noise_m_rms: float = quantity(1e-6, "m", "Noise, rms within its bandwidth.", at_least=0, at_most=1e-4)
     linearity: float = quantity(
-        0.0025, "-", "Limit of the departure from a straight line, of half_range_m.", at_least=0
+        0.0025, "-", "Limit of the departure from a straight line, relative to half_range_m.", at_least=0
     )
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_m: float = quantity(10e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-3)
     inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
-    adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
+    adc_range_v: float = quantity(10.0, "V", "Input range of the converter: ± this voltage.", above=0)
 
     def sensor(self) -> Sensor:
         """Return the model of the inferior base's displacement sensor, from the settings of `instruments.base`."""
@@ -78,8 +78,8 @@ class Base(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of a Vector3Stamped message: `vector.x` is the displacement of the inferior base [m].
+        """Return the fields of a Vector3Stamped message: `vector.x` is the displacement x_b of the inferior base [m].
 
-        The message has no field for clipping or noise, so `clipped` and `noise` are ignored.
+        The message type has no field for clipping or noise, so `clipped` and `noise` are ignored.
         """
         return {"vector.x": reading}

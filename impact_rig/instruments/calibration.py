@@ -13,8 +13,8 @@
 # limitations under the License.
 """Calibration: the real errors of a rig's instruments, and the certificate from which an analysis knows their limits.
 
-Readings are computed as (volt − offset) / sensitivity, with the *nominal* sensitivity and offset: the analysis knows
-nothing else. The true values are drawn once per seed, uniformly within the tolerances, and do not change. Standard
+Readings are computed as (volt − offset) / sensitivity with the *nominal* sensitivity and offset, the only ones that an
+analysis knows. The true values are drawn once per seed, uniformly within the tolerances, and do not change. Standard
 uncertainties follow the GUM: the limit a of a rectangular distribution counts as a/√3 (GUM 4.3.7).
 
 The linearity error is L (c_2 P_2(x) + c_3 P_3(x)) with its limit L, Legendre polynomials, and x = −1 … 1 over the
@@ -41,9 +41,9 @@ _VARIANCE_C = 1.0 / 6.0
 
 @attrs.frozen
 class ChannelErrors:
-    """Errors of one sensor as parts of their tolerances, within ± 1: gain, offset and linearity.
+    """True errors of one sensor, each divided by its tolerance and so within ± 1: gain, offset and linearity.
 
-    c_2 and c_3 are the parts of the linearity error in the Legendre polynomials P_2 and P_3, with |c_2| + |c_3| <= 1.
+    c_2 and c_3 are the factors of the Legendre polynomials P_2 and P_3 in the linearity error, |c_2| + |c_3| <= 1.
     """
 
     gain: float = 0.0
@@ -54,7 +54,7 @@ class ChannelErrors:
 
 @attrs.frozen
 class BoardErrors:
-    """Errors of the converter's gain and offset as parts of their tolerances, within ± 1."""
+    """True errors of the converter's gain and offset, each divided by its tolerance and so within ± 1."""
 
     gain: float = 0.0
     offset: float = 0.0
@@ -82,7 +82,7 @@ def lsb_v(sensor: Sensor, adc: Adc) -> float:
 def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
     """Return the converter's noise on this sensor's channel, rms [V].
 
-    It is specified at ± 10 V and is proportional to the channel's input range.
+    `adc.noise_v_rms` is the noise with the input range ± 10 V; it is proportional to the channel's input range.
     """
     return adc.noise_v_rms * sensor.adc_range_v / 10.0
 
@@ -90,7 +90,8 @@ def converter_noise_v(sensor: Sensor, adc: Adc) -> float:
 def gain_uncertainty(sensor: Sensor, adc: Adc) -> float:
     """Return the relative standard uncertainty of the sensitivity of sensor and converter, for signals of any size.
 
-    A small part of the range may differ in slope from the whole by the linearity error, which is therefore included.
+    A small signal sees the slope of a small part of the range, which the linearity error changes; so the result also
+    contains that part of the linearity error.
     """
     slope = 1.5 * sensor.linearity / sensor.half_range
     rectangular = _square(sensor.gain_tolerance) / 3.0 + _square(adc.gain_tolerance) / 3.0
@@ -122,7 +123,7 @@ def certificate(sensors: list[Sensor], adc: Adc, rate_hz: int, skews_s: list[flo
         sensors: sensors in scan order.
         adc: the converter.
         rate_hz: scans per second.
-        skews_s: conversion time of each channel after the scan clock [s].
+        skews_s: time from the start of a scan to the conversion of each channel [s].
         ideal: whether the instruments are ideal: they read the true value with sensitivity 1, in an infinite range,
             without noise, lag or uncertainty.
     """

@@ -14,9 +14,9 @@
 """Instruments of a rig as one chain: its input is complete ticks of motion, its output complete scans.
 
 A scan is one reading of every channel, a tick 10 ms of the scan clock. The chain works like a board with a FIFO:
-`acquire` converts all scans whose instants lie in the given ticks, and `read` removes scans. Every random number,
-filter state and conversion time belongs to a scan or a tick. So neither the number of ticks per call nor the block
-length changes a single bit.
+`acquire` converts all scans whose instants lie in the given ticks, and `read` returns and removes scans. Every random
+number, filter state and conversion time belongs to a scan or a tick. So neither the number of ticks per call nor the
+block length changes a single bit.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from impact_rig.kernels import records
 from impact_rig.simtime import COMMAND_GRID_NS, COMMAND_GRID_S, NS_PER_S
 
 SEED_STREAM = 1
-"""First number of the spawn key of every random generator of the instruments, which separates them from others of the
-seed.
+"""First number of the spawn key of every random generator of the instruments. It makes their numbers independent of
+those of other generators with the same seed.
 """
 _LONGEST_PIECE_S = 2.5e-3
 _LONGEST_CONTACT_PIECE_S = 16e-6
-"""Length [s] up to which the integration steps inside a contact are joined to one polynomial: three polynomials fit a
-contact of 40 µs to 0.1 %.
+"""Length [s] up to which neighbouring integration steps of a contact are joined to one piece with one polynomial: three
+such pieces fit a contact of 40 µs to 0.1 %.
 """
 _TICKS_AT_ONCE = 25
 """Number of ticks that are converted together: arrays of a quarter of a second fit into the caches. The bits are the
@@ -98,13 +98,13 @@ class Chain:
 
     @property
     def first_open_scan(self) -> int:
-        """Number of the first scan without any converted channel, the earliest at which a fault can start or end."""
+        """Number of the first scan of which no channel is converted yet, the earliest that a new fault can affect."""
         return int(self._channels["converted"].max())
 
     def reset(self) -> None:
         """Restart at scan 0 with the seed and the planned faults of `config`: the same motion then gives the same bits.
 
-        Injected faults and calibration sines are gone, and scans that were not read.
+        Injected faults, calibration sines, and scans that were not read are dropped.
         """
         config = self._config
         self._clock = scan_clock(config)
@@ -146,8 +146,8 @@ class Chain:
         """Change the settings of the instruments from the next tick on; counters, noise and faults continue.
 
         Raises:
-            ConfigError: the list of channels, scan rate, seed or planned faults differ, which needs a new chain; or the
-                converter has become too slow for the scan rate. Nothing is changed.
+            ConfigError: the list of channels, the scan rate, the seed or the planned faults differ, which is possible
+                only in a new chain; or the converter is too slow for the scan rate. Nothing is changed.
         """
         fitted, present = tuple(instrument.name for instrument in config.instruments.fitted()), self._config
         for key, old, new in (
@@ -173,8 +173,8 @@ class Chain:
         """Convert every scan in the next `count` ticks of a motion; `read` returns them.
 
         Args:
-            motion: motion that covers the ticks; each tick must be given once, in order.
-            motion_tick: number of the first tick in the motion.
+            motion: motion that covers these ticks, which continue those of the call before.
+            motion_tick: number of the first of these ticks as `motion` counts its ticks.
             count: number of ticks.
             tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
         """
@@ -194,15 +194,15 @@ class Chain:
             self._tick += ticks
 
     def read(self, count: int) -> NDArray[np.void]:
-        """Return the next `count` scans, with the row type `section.row_type_of` these instruments.
+        """Return and remove the next `count` scans, as rows of the type that `section.row_type_of` returns.
 
-        The column `time` counts from the first of them [s].
+        The column `time` is the time since the first of these scans [s].
 
         Raises:
             ValueError: fewer scans are ready.
         """
         if not 0 <= count <= self._ready:
-            raise ValueError(f"count must be 0 to {self._ready}, the scans that are ready, got {count}")
+            raise ValueError(f"count must be 0 to {self._ready}, the number of scans that are ready, got {count}")
         if len(self._times) != count:
             self._times = np.arange(count) / self._config.daq.rate_hz
         parts: list[NDArray[np.void]] = []
@@ -220,7 +220,10 @@ class Chain:
         return rows
 
     def _make_rows(self, ticks: int) -> None:
-        """Make rows of all scans that every channel has finished after `ticks` new ticks, for `read`."""
+        """Make rows, which `read` returns, of all scans whose readings are complete in every channel.
+
+        `ticks` is the number of ticks converted since the last call, which limits the number of rows.
+        """
         rows = np.empty((ticks * self._most_per_tick + _LEFT_OVER) * self._row_type.itemsize, np.uint8)
         count = take_rows(self._channels, self._words, self._buffers.clipped, rows, self._layout)
         if count:
@@ -237,7 +240,7 @@ class Chain:
     def calibrate(self, channel: str, frequency_hz: float, amplitude: float, ticks: int) -> None:
         """Replace the input of one channel by a known sine for some ticks, from the next tick on.
 
-        It also replaces a sine that is still on at this channel.
+        If an earlier sine is still on at this channel, the new one replaces it.
 
         Args:
             channel: name of the channel.
@@ -253,12 +256,13 @@ class Chain:
         highest = self._config.shaker.frequency_max_hz
         if not 0.0 < frequency_hz <= highest:
             raise CommandError(
-                f"frequency_hz must be > 0 and <= shaker.frequency_max_hz = {highest:g} Hz, got {frequency_hz!r} Hz"
+                "frequency_hz of a calibration sine must be > 0 and <= shaker.frequency_max_hz = "
+                f"{highest:g} Hz, got {frequency_hz!r} Hz"
             )
         if not np.isfinite(amplitude):
-            raise CommandError(f"amplitude must be finite, got {amplitude!r}")
+            raise CommandError(f"amplitude of a calibration sine must be finite, got {amplitude!r}")
         if ticks < 0:
-            raise CommandError(f"ticks must be >= 0, got {ticks}")
+            raise CommandError(f"ticks of a calibration sine must be >= 0, got {ticks}")
         self._sines[self._names.index(channel)] = Sine(self._tick, ticks, frequency_hz, amplitude)
 
     def inject(self, fault: Fault) -> int:
@@ -269,17 +273,18 @@ class Chain:
         """
         if fault.start_sample < self.first_open_scan:
             raise CommandError(
-                f"start_sample must be >= {self.first_open_scan}, the first scan not yet converted, "
+                f"start_sample of a fault must be >= {self.first_open_scan}, the first scan not yet converted, "
                 f"got {fault.start_sample}"
             )
         if fault.channel and fault.channel not in self._names:
-            raise CommandError(f"{fault.kind} needs a channel that is present, {fault.channel} is not")
+            present = ", ".join(self._names)
+            raise CommandError(f"{fault.kind} needs a channel that is present, {fault.channel} is not: use {present}")
         return self._faults.add(fault)
 
     def clear(self, number: int | None = None) -> None:
         """End the fault with this number, or all faults, at the first scan not yet converted.
 
-        A fault that would start there or later never acts. A fault that has ended may be cleared again.
+        A fault that would start at that scan or later never acts. Clearing a fault that has ended has no effect.
 
         Raises:
             CommandError: no fault, planned or injected, has ever had this number.
@@ -291,9 +296,9 @@ class Chain:
         return self._faults.numbers()
 
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
-        """Return the starts and ends of faults in these scans, `blocks.FAULTS` rows; call once per block, in order.
+        """Return the starts and ends of faults in `count` scans from `first_scan` on, as `blocks.FAULTS` rows.
 
-        Faults that have ended before these scans are then forgotten.
+        Call it once per block, in order: faults that have ended before these scans are then forgotten.
         """
         return self._faults.rows(first_scan, count)
 
@@ -302,9 +307,10 @@ class Chain:
         return self._faults.block_lost(first_scan, count)
 
     def clock_ppm(self, tick: int) -> float:
-        """Return by how much clock_drift faults slow the scan clock at the start of a tick [ppm].
+        """Return by how much clock_drift faults slow the scan clock at the start of a tick [ppm], 0 if none acts.
 
-        `tick` counts from 0 since the reset. A tick of 10 ms on that clock takes as much longer in the motion's time.
+        `tick` counts from 0 since the reset. In the time of the motion, a tick of 10 ms on that clock takes longer by
+        this part.
         """
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
@@ -333,9 +339,9 @@ class Chain:
         self._shorten_pieces(config.shaker.frequency_max_hz)
 
     def _shorten_pieces(self, frequency_hz: float) -> None:
-        """Shorten the pieces into which a motion is cut, if a drive of this frequency needs that.
+        """Reduce the longest length of the pieces into which a motion is cut, if a drive of this frequency needs that.
 
-        They never grow again until a reset, because a faster drive may still be on.
+        The length does not grow again until a reset, because a drive of a higher frequency may still be on.
         """
         self._longest_piece_s = min(self._longest_piece_s, 1.0 / (PIECES_PER_PERIOD * frequency_hz))
 
@@ -388,9 +394,9 @@ class Chain:
         self._channels["finished"] = self._channels["filled"]
 
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
-        """Return a channel's newest readings: (values, clipped flags, first scan, the reading before).
+        """Return a channel's values that are not finished, flags of clipped ones, first scan, and the last reading.
 
-        The reading before is None at the start.
+        The last reading is the finished one before these values, None at the start.
         """
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))
@@ -401,9 +407,9 @@ class Chain:
     def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings, in place.
+        """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings, in place.
 
-        `first` is the number of the first one's scan, and `last` the reading before it, None at the start.
+        `first` is the number of the scan of the first reading, and `last` the reading before it, None at the start.
         """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
@@ -416,7 +422,7 @@ class Chain:
 def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
     """Return the jump of the superior base's velocity [m/s] at the start of each piece, shape (n,).
 
-    The jumps are those of the instantaneous impacts `blows` on a base of the given mass.
+    The jumps are caused by the instantaneous impacts `blows` on a superior base of the mass `mass_kg` [kg].
     """
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick

@@ -83,7 +83,7 @@ class ScanClock:
     skews: tuple[int, ...]
 
     def skew_s(self, channel: int) -> float:
-        """Return the time from the start of a scan to the conversion of channel number `channel`, from 0 on [s]."""
+        """Return the time [s] from the start of a scan to the conversion of the channel with this number, from 0."""
         return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
 
     def scans_per_tick(self) -> int:
@@ -117,8 +117,9 @@ class Buffers(NamedTuple):
     """Arrays for the channels' readings on their way from a sensor's output to scans.
 
     Attributes:
-        values: output [unit], then volts, then readings [unit], shape (channels, room).
-        clipped: whether each value was at an end of a range, same shape.
+        values: output of the sensors' dynamics [unit], which becomes volts and then readings [unit] in place, shape
+            (channels, room).
+        clipped: whether the sensor or the converter was at an end of its range, for each value, same shape.
         white: scratch for random numbers, shape (STRETCH,).
         series: scratch of `response`, shape (3, SERIES_TERMS).
         first_and_spacing: scratch, shape (2,): see `response.through_piece`.
@@ -142,9 +143,10 @@ def new_buffers(channels: int, room: int) -> Buffers:
 
 @kernel
 def _conversions(clock: Clock, due: int, tick_s: float, end: float) -> int:
-    """Return how many conversions a channel makes until the time `end` of this tick [s], the first of them at `due`.
+    """Return how many conversions of a channel lie from its next one on until `end` [s after the start of the tick].
 
-    `due` is in clock units, and `tick_s` the duration of the tick [s].
+    `due` is the time of the next conversion since the start of the tick in clock units, and `tick_s` the duration of
+    the tick [s]. Conversions in later ticks do not count.
     """
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0
@@ -169,7 +171,10 @@ def _respond(
     values: Reals,
     buffers: Buffers,
 ) -> None:
-    """Compute one channel's dynamics over the pieces and append the output at its conversions to `values` [unit]."""
+    """Advance the dynamics of one channel's sensor through the pieces, and append its output at the conversions.
+
+    The output [unit of the channel] is appended to `values` behind the first `channel.filled` values.
+    """
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
     first_and_spacing[1] = tick_s * (clock.period / clock.tick)
     set_period(modes, first_and_spacing[1])
@@ -207,7 +212,7 @@ def respond(
         modes: SENSOR_MODE records of all channels, one channel after another.
         channels: CHANNEL records.
         clock: the scan clock.
-        pieces: the pieces of some ticks of the motion.
+        pieces: the pieces into which these ticks of the motion are cut.
         coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
         kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces or 0).
         buffers: buffers with room for the conversions.
@@ -288,7 +293,7 @@ class Sine:
     tick_s: float = COMMAND_GRID_S
 
     def paced(self, tick: int, tick_s: float) -> Sine:
-        """Return the sine with ticks of `tick_s` seconds from `tick` on; its phase does not jump.
+        """Return this sine for ticks of another duration, `tick_s` seconds, from tick number `tick` on, without a jump.
 
         The duration of a tick changes with the error of the scan clock.
         """
@@ -298,7 +303,7 @@ class Sine:
         return attrs.evolve(self, anchor_s=anchor_s, anchor_tick=tick, tick_s=tick_s)
 
     def covers(self, tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return for each of these tick numbers whether the sine is on in that tick, in their shape."""
+        """Return for each of these tick numbers whether the sine is on in that tick, as a mask of the same shape."""
         return (tick >= self.first_tick) & (tick < self.first_tick + self.ticks)
 
     def values(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -309,9 +314,10 @@ class Sine:
         return out
 
     def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
-        """Put the sine into the polynomials of a channel's input, on pieces in its ticks; return a mask of those.
+        """Replace the polynomials of a channel's input by this sine on all pieces in its ticks; return a mask of these.
 
-        `coefficients` has the shape (pieces, NODES), and `tick` is the tick of each piece as the sine counts ticks.
+        `coefficients` has the shape (pieces, NODES). `tick` is the number of the tick of each piece, counted since the
+        reset.
         """
         on = self.covers(tick)
         coefficients[on] = polynomials(self.values, tick[on], pieces.start[on], pieces.end[on])[0]
@@ -332,5 +338,5 @@ def _sine(
 
 
 def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
-    """Return the sines that have not ended at `tick`, by channel, adapted to ticks of `tick_s` seconds from there."""
+    """Return by channel the sines that have not ended at `tick`, for ticks of `tick_s` seconds from there on."""
     return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Known-input check: a calibration sine into every channel of a copy of the instruments, compared with the certificate.
+"""Known-input check: readings of a calibration sine in every channel, compared with the calibration certificate.
 
-The copy has the rig's configuration, its seed (and so its calibration errors) and the given faults; the rig itself is
-not disturbed. To see the sine in the rig's own scans, use `Chain.calibrate`.
+The sine is fed into a copy of the instruments with the rig's configuration, its seed (and so its calibration errors)
+and given faults; the rig itself is not disturbed. To see the sine in the rig's own scans, use `Chain.calibrate`.
 """
 
 from __future__ import annotations
@@ -107,7 +107,8 @@ def check_known_input(
 
     Args:
         config: configuration of the rig.
-        faults: faults on the copy, from its start to its end; faults of the whole board are ignored.
+        faults: faults of the copy, which act all the time, whatever their own start and end; those of the whole board
+            are ignored.
         frequency_hz: frequency of the sine; choose a whole number of hertz, because one second is measured.
         fraction: amplitude as a part of half the measuring range.
 

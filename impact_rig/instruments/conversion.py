@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Conversion of a sensor's clean output to readings.
+"""Conversion of the output of a sensor's dynamics to readings.
 
-A channel adds linearity error and noise, limits the range and gives volts. The converter gives codes, the codes give
-readings in SI units, and the readings of all channels give rows of scans.
+The output stage of the sensor adds linearity error and noise, limits the range and gives volts. The converter turns
+volts into codes, the codes become readings in SI units, and the readings of all channels become rows of scans.
 
 A sensor's noise has the sensor's bandwidth: it is white noise behind a first-order low-pass, sampled exactly. From one
 conversion to the next it becomes memory · itself + rms √(1 − memory²) · white, with memory = e^{−2π bandwidth period}
@@ -105,7 +105,7 @@ TWO_D_FLAGS, TWO_D_WORDS = Array(np.dtype("?"), 2), Array(np.dtype("u8"), 2)
 
 
 def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors, scan_period_s: float) -> None:
-    """Set the output stage of one CHANNEL record, up to the volts, to that of a sensor with these errors."""
+    """Set the fields of one CHANNEL record that describe the sensor's output stage, up to the volts on its cable."""
     sign = -1.0 if sensor.inverted else 1.0
     gain = sign * sensor.volt_per_unit * (1.0 + errors.gain * sensor.gain_tolerance)
     memory = exp(-TWO_PI * sensor.bandwidth_hz * scan_period_s)
@@ -118,7 +118,7 @@ def set_output(channel: NDArray[np.void], sensor: Sensor, errors: ChannelErrors,
 
 
 def set_converter(channel: NDArray[np.void], sensor: Sensor, adc: Adc, errors: BoardErrors) -> None:
-    """Set the converter of one CHANNEL record, from volts to readings, with these calibration errors of the board."""
+    """Set the fields of one CHANNEL record that describe the converter, from the volts on the cable to readings."""
     lsb = calibration.lsb_v(sensor, adc)
     channel["adc_noise"] = calibration.converter_noise_v(sensor, adc)
     channel["adc_gain"] = 1.0 + errors.gain * adc.gain_tolerance
@@ -139,8 +139,8 @@ def clamped(value: float, low: float, high: float) -> float:
 def to_volts(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
     """Turn the output of a sensor's dynamics [unit] into volts on the cable, at most STRETCH values, in place.
 
-    Marks in `clipped` where the sensor was at an end of its range; `white` is scratch and finally holds the noise
-    [unit].
+    Sets `clipped` for each value to whether the sensor was at an end of its range. `white` is scratch memory of the
+    same length.
     """
     count = values.shape[0]
     fill_normal(channel.noise_random, white)
@@ -173,7 +173,7 @@ def to_volts(channel: Record, values: Reals, clipped: Flags, white: Reals) -> No
 def to_units(channel: Record, values: Reals, clipped: Flags, white: Reals) -> None:
     """Turn volts on a channel's cable into readings [unit], at most STRETCH of them, in place.
 
-    Also marks in `clipped` where the converter was at an end of its range.
+    Also sets `clipped` where the converter was at an end of its range. `white` is scratch memory of the same length.
     """
     count = values.shape[0]
     fill_normal(channel.adc_random, white)
@@ -190,7 +190,9 @@ def to_units(channel: Record, values: Reals, clipped: Flags, white: Reals) -> No
 
 @entry(CHANNEL, TWO_D_WORDS, TWO_D_FLAGS, BYTES, INTEGERS, returns=int)
 def take_rows(channels: Records, readings: Words, clipped: Flags, rows: Bytes, layout: Integers) -> int:
-    """Fill in the rows of all scans that every channel has finished, remove these scans, and return their number.
+    """Fill `rows` with all scans that every channel has finished, and return their number.
+
+    The readings of these scans are removed from the channels' buffers, `readings` and `clipped`.
 
     Args:
         channels: CHANNEL records.

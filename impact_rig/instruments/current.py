@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Coil current monitor of the power amplifier, whose signal is the phase reference: a first-order low-pass.
+"""Coil current monitor of the power amplifier, to whose signal the phases of the other channels are related.
 
-Its corner is far above the drive frequency.
+Its dynamics are a first-order low-pass with a corner far above the drive frequency.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class Current(Instrument):
     sensitivity_a_v: float = quantity(5.0, "A/V", "Current per output voltage.", above=0)
     bandwidth_hz: float = quantity(20e3, "Hz", "Corner of its first-order low-pass.", above=0)
     noise_a_rms: float = quantity(2e-3, "A", "Noise, rms within its bandwidth.", at_least=0, at_most=1)
-    saturation_v: float = quantity(10.0, "V", "Its output clips here, either side.", above=0)
+    saturation_v: float = quantity(10.0, "V", "Magnitude of the output at which it clips.", above=0)
     gain_tolerance: float = quantity(0.005, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_a: float = quantity(5e-3, "A", "Limit of the zero error.", at_least=0, at_most=1)
     inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
-    adc_range_v: float = quantity(5.0, "V", "Input range of the converter, either side.", above=0)
+    adc_range_v: float = quantity(5.0, "V", "Input range of the converter: ± this voltage.", above=0)
 
     def sensor(self) -> Sensor:
         """Return the model of the coil current monitor, from the settings of `instruments.current`."""

@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Faults on demand: their text form, their exact numbers, and their effect on the readings.
+"""Faults of instruments, planned or injected: their text form, their times in scans, and their effect on the readings.
 
-A configuration plans faults in lines of text, times in seconds since the reset:
+A configuration plans faults in lines of text, with times in seconds since the reset:
 
     offset_step channel=laser start_s=2 duration_s=0.5 value=1e-3 seed=7
 
@@ -43,8 +43,8 @@ from impact_rig.instruments.registry import INSTRUMENTS
 DEFAULT_SPIKE_RATE_HZ = 10.0
 MOST = 2**53  # largest integer: the columns of `truth/faults` are not exact beyond it
 LARGEST_DRIFT_PPM = 5e5
-"""Largest drift of the scan clock that faults can cause [ppm], in either direction: at −10⁶ ppm a tick would take no
-time, far above 0 one would take for ever.
+"""Largest drift of the scan clock that faults can cause [ppm], in either direction. At −10⁶ ppm a tick of the clock
+would take no time, and at a very large drift it would take so long that the rig seems to stop.
 """
 _NUMBERS = ("start_s", "duration_s", "value", "seed", "rate_hz")
 _COUNTS = ("start_sample", "samples", "seed")
@@ -154,7 +154,7 @@ class Fault:
 def fault_line(kind: str, channel: str, **numbers: float) -> str:
     """Return a fault as one line of text that `Fault.from_line` reads; numbers equal to their defaults are left out.
 
-    `numbers` are those of such a line: start_s, duration_s, value, seed and rate_hz.
+    `numbers` may be start_s [s], duration_s [s], value, seed and rate_hz [Hz].
     """
     usual = dict.fromkeys(_NUMBERS, 0) | {"rate_hz": DEFAULT_SPIKE_RATE_HZ}
     given = [f"{key}={number!r}" for key, number in numbers.items() if number != usual[key]]
@@ -163,7 +163,7 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Section `instruments.faults` of a configuration: planned faults, which begin by themselves; none by default."""
+    """Section `instruments.faults` of a configuration: faults that begin by themselves at a time; none by default."""
 
     planned: tuple[str, ...] = names(
         (),
@@ -222,7 +222,7 @@ _NO_ROWS = np.zeros(0, FAULTS)
 
 @attrs.define(eq=False)
 class _Active:
-    """Fault of a `FaultBoard` with its number, end and random numbers, which continue from scan to scan."""
+    """Fault of a `FaultBoard`, with its number, the scan at which it ends, and its random generator."""
 
     number: int
     fault: Fault
@@ -230,7 +230,7 @@ class _Active:
     random: Random
 
     def overlap(self, first: int, count: int) -> slice:
-        """Return the part of the scans first … first + count − 1 that the fault acts on, as a slice of them."""
+        """Return which of the scans first … first + count − 1 the fault affects, as a slice in which 0 is `first`."""
         low = min(max(self.fault.start_sample, first), first + count)
         high = min(max(self.end, low), first + count)
         return slice(low - first, int(high) - first)
@@ -259,12 +259,12 @@ class FaultBoard:
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
-        """End the fault with this number, or all if it is None, at scan number `scan`: its first one without effect.
+        """End a fault, or all faults if `number` is None, so that scan number `scan` is the first one not affected.
 
         A fault that would start at that scan or later never acts.
 
-        Clearing a fault that has ended is allowed. How long such a fault is stored depends on the division into blocks,
-        and so must not matter.
+        Clearing a fault that has ended is allowed and has no effect. An error would depend on whether that fault is
+        still stored, and so on the division into blocks.
 
         Raises:
             CommandError: no fault has ever had this number.
@@ -278,7 +278,10 @@ class FaultBoard:
         self._faults = [active for active in self._faults if active.end > active.fault.start_sample]
 
     def channels(self) -> set[str]:
-        """Return the names of the channels of all stored faults, also future ones; "" stands for the whole board."""
+        """Return the names of the channels of all faults that are stored; "" stands for faults of the whole board.
+
+        These are the faults that act or will act, and some that have ended.
+        """
         return {active.fault.channel for active in self._faults}
 
     def on_cable(
@@ -333,7 +336,7 @@ class FaultBoard:
                     clipped[part] = False
 
     def rows(self, first: int, count: int) -> NDArray[np.void]:
-        """Return starts and ends of faults in the scans first … first + count − 1, in order: `blocks.FAULTS` rows.
+        """Return starts and ends of faults in the scans first … first + count − 1, in order, as `blocks.FAULTS` rows.
 
         Faults that ended before these scans are removed, so call this once per block, in order.
         """

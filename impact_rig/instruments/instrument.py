@@ -43,8 +43,8 @@ CHANNEL_KINDS = frozenset(FAULT_KINDS) - BOARD_KINDS
 class Instrument:
     """Base class of an instrument on one channel of the board.
 
-    The fields of an instrument form its section `instruments.<name>` of the configuration; make them with
-    `impact_rig.config.fields`. An instrument with a field `present` is scanned only if that is true; make the field
+    The fields of a subclass form the section `instruments.<name>` of the configuration; define them with
+    `impact_rig.config.fields`. An instrument with a field `present` is scanned only if that field is true; define it
     with `read_only=True`, because a running rig cannot change its channels.
 
     Attributes:
@@ -73,7 +73,7 @@ class Instrument:
 
     @property
     def fitted(self) -> bool:
-        """State of the switch `present`: whether the board scans this instrument; true without that switch."""
+        """Value of the field `present`: whether the board scans this instrument; true if it has no such field."""
         return bool(getattr(self, "present", True))
 
     def sensor(self) -> Sensor:
@@ -83,8 +83,8 @@ class Instrument:
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
         """Return the fields of the monitor message for one reading: value by field, e.g. `linear_acceleration.x`.
 
-        A subclass with a `monitor` defines this. A field that is left out keeps its default in the message. Values that
-        depend on the reading must be of the type float: all others are taken once, for the reading 0.
+        A subclass with a `monitor` defines this. A field that is left out keeps its default in the message. Only values
+        of the type float are computed again for each reading; all others are computed once, for the reading 0.
 
         Args:
             reading: reading in the channel's unit.

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Laser displacement sensor on the superior base: a first-order lag, a digital output stage, and a limited range.
 
-It measures a distance, `distance_m` − x_1. Its output is `output_v` (1 − x_1/`half_range_m`) / 2, 0 V at the near end
-of the range. The sensitivity to x_1 is therefore negative. Out of range the output stays at the end at which it left,
-and the status flags it.
+It measures the distance `distance_m` − x_1. Its output is `output_v` (1 − x_1/`half_range_m`) / 2, which is 0 V at the
+near end of the range. The sensitivity to x_1 is therefore negative. Out of range, the output stays at the near or far
+end of the range, and the status of the scan marks the channel.
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ class Laser(Instrument):
         frame_id="laser",
     )
 
-    distance_m: float = quantity(50e-3, "m", "Distance at x_1 = 0.", above=0, at_most=10)
+    distance_m: float = quantity(50e-3, "m", "Distance to the superior base at x_1 = 0.", above=0, at_most=10)
     half_range_m: float = quantity(10e-3, "m", "Half of the measuring range.", above=0, at_most=5)
     output_v: float = quantity(10.0, "V", "Output at the far end of the range.", above=0)
     lag_s: float = quantity(0.7e-3, "s", "Time constant of its first-order lag.", above=0, at_most=0.1)
     resolution_m: float = quantity(8e-6, "m", "Step of its digital output stage.", at_least=0, at_most=1e-3)
-    noise_m_rms: float = quantity(2e-6, "m", "Noise before that step, rms.", at_least=0, at_most=1e-3)
+    noise_m_rms: float = quantity(2e-6, "m", "Noise ahead of the digital output stage, rms.", at_least=0, at_most=1e-3)
     linearity_m: float = quantity(30e-6, "m", "Limit of the departure from a straight line.", at_least=0, at_most=1e-2)
     gain_tolerance: float = quantity(0.002, "-", "Limit of the relative error of the sensitivity.", at_least=0, below=1)
     offset_tolerance_m: float = quantity(50e-6, "m", "Limit of the zero error.", at_least=0, at_most=1e-2)
     inverted: bool = switch(False, "Whether the sign is inverted by mistake; the calibration does not show it.")
-    adc_range_v: float = quantity(10.0, "V", "Input range of the converter, either side.", above=0)
+    adc_range_v: float = quantity(10.0, "V", "Input range of the converter: ± this voltage.", above=0)
 
     def __attrs_post_init__(self) -> None:
         if self.half_range_m >= self.distance_m:

@@ -13,9 +13,10 @@
 # limitations under the License.
 """Motion cut into smooth pieces, each a polynomial, from which the sensors' exact response is computed.
 
-Between breakpoints, the events of the motion, every quantity is smooth. Over breakpoints that are close together it is
-smooth enough, so that eight coefficients describe it (see `arithmetic.interpolation`). A contact of 40 µs becomes three
-pieces, a flight of 10 ms four. That makes some five hundred pieces per second, independent of the scan rate.
+Between two breakpoints, which are events of the motion or steps of its integration, every quantity is smooth. A piece
+that contains breakpoints close together is still smooth enough for a polynomial of eight coefficients (see
+`arithmetic.interpolation`). A contact of 40 µs becomes three pieces, a flight of 10 ms four. That makes some five
+hundred pieces per second, independent of the scan rate.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from numpy.typing import NDArray
 from impact_rig.kernels import INTEGERS, REALS, Fields, Integers, Reals, entry, kernel
 
 PIECES_PER_PERIOD = 2.0
-"""Least number of pieces into which a period of the fastest drive is cut."""
+"""Least number of pieces into which one period of a drive with the highest allowed frequency is cut."""
 
 
 class PiecewiseMotion(Protocol):
-    """Interface of a motion that instruments can read.
+    """Interface of a motion that instruments can read, which `impact_rig.physics.Motion` has.
 
-    `impact_rig.physics.Motion` has it, and a motion given by formulas can have it, too. Quantities of
-    the rig are functions of (tick, offset within it [s]); a tick takes 10 ms of the scan clock.
+    Another class can have it as well, such as a motion given by formulas. Quantities of the rig are functions of an
+    instant, given as the number of a tick and the time since its start [s]. A tick takes 10 ms of the scan clock.
     """
 
     @property
@@ -66,8 +67,8 @@ class Limits(NamedTuple):
 
     Attributes:
         tick_s: duration of one tick [s].
-        longest_s: longest piece of a flight [s].
-        joined_s: longest piece into which short intervals between breakpoints are joined [s].
+        longest_s: largest length of a piece [s]; longer intervals between breakpoints are divided.
+        joined_s: largest length up to which short intervals between breakpoints are joined to one piece [s].
     """
 
     tick_s: float
@@ -108,8 +109,8 @@ def cut(
         breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.
         motion_tick: number of the first tick in the motion.
         ticks: number of ticks.
-        limits: flights are cut into equal parts of at most `longest_s`; neighbours between breakpoints are joined while
-            their total length is at most `joined_s`.
+        limits: intervals between breakpoints are cut into equal parts of at most `longest_s`; short neighbours are
+            joined while their total length is at most `joined_s`.
     """
     tick, offset = breakpoints
     room = ticks * (math.ceil(limits.tick_s / limits.longest_s) + 1) + 2 * len(tick)
@@ -158,8 +159,8 @@ def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces
 def _next_break(offset: Reals, next_break: int, breaks_end: int, from_s: float, limits: Limits) -> tuple[int, float]:
     """Return the index of the first breakpoint not yet reached by the next piece, and that piece's end [s].
 
-    The piece starts at `from_s` in its tick. It joins neighbours up to `limits.joined_s`; a flight is cut further
-    later.
+    The piece starts `from_s` seconds after the start of its tick. It joins short intervals between breakpoints up to
+    the length `limits.joined_s`. The caller divides a piece that is longer than `limits.longest_s`.
     """
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:

@@ -32,7 +32,8 @@ def _found() -> dict[str, type[Instrument]]:
             own = [kind for kind in vars(module).values() if getattr(kind, "__module__", None) == module.__name__]
             found += [kind for kind in own if isinstance(kind, type) and issubclass(kind, Instrument)]
     ordered = sorted(found, key=lambda instrument: instrument.place)
-    assert [instrument.place for instrument in ordered] == list(range(len(ordered))), "each place is taken once"
+    places = [instrument.place for instrument in ordered]
+    assert places == list(range(len(ordered))), f"the places of the instruments must be 0, 1, 2, …, got {places}"
     return {instrument.name: instrument for instrument in ordered}
 
 

@@ -58,8 +58,8 @@ SENSOR_MODE = np.dtype(
 
 SERIES_TERMS = 16
 _SHORT_TERMS = 10
-"""Number of terms of the sum of all modes' polynomials that usually suffice: the others are lost in the rounding. If
-they are not, all SERIES_TERMS are used.
+"""Number of terms of the sum of all modes' polynomials that usually suffice, because the others are lost in the
+rounding. If the others are not negligible, all SERIES_TERMS are used.
 """
 _LOST = 2.0**-54
 _SILENT = 45.0  # exp(−45) = 3e-20
@@ -77,7 +77,10 @@ def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
 
 @kernel
 def set_period(modes: Records, period_s: float) -> None:
-    """Set in each mode the factor by which it decays in one scan period, and after how many scans it is negligible."""
+    """Set in each mode the factor by which its free response decays in a scan period, and how many scans it matters.
+
+    After that number of scans, the free response is less than exp(−45) of its start.
+    """
     for k in range(modes.shape[0]):
         mode = modes[k]
         mode.decay_re, mode.decay_im = decayed(mode.pole_re, mode.pole_im, period_s)
@@ -114,10 +117,10 @@ def output_at_start(modes: Records) -> float:
 
 @kernel
 def _particular(mode: Record, coefficients: Reals, half: float, psi: Reals) -> tuple[float, float, float, float]:
-    """Fill psi with the particular answer of a mode to the input S on a piece, as coefficients of x^k.
+    """Fill psi with a particular solution ψ of a mode's equation under the input S on a piece, as coefficients of x^k.
 
     psi has the shape (2, SERIES_TERMS), real and imaginary part; `half` is the half length of the piece [s]. Returns
-    real and imaginary part of the answer at x = −1, then at x = 1.
+    real and imaginary part of the solution at the start of the piece, x = −1, then at its end, x = 1.
     """
     pole_half_re, pole_half_im = mode.pole_re * half, mode.pole_im * half
     re, im = 0.0, 0.0
@@ -193,7 +196,10 @@ def through_piece(
 
 @kernel
 def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> float:
-    """Fill in the polynomial at x = first, first + spacing, …; return the magnitude of its largest coefficient."""
+    """Fill `out` with a polynomial at x = first, first + spacing, …; return the magnitude of its largest coefficient.
+
+    `total` holds its coefficients, constant first.
+    """
     largest, beyond = 0.0, 0.0
     for k in range(SERIES_TERMS):
         largest = max(largest, abs(total[k]))
@@ -217,9 +223,10 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 
 @kernel
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
-    """Add a mode's free response to the outputs at a piece's conversions, as long as it is not lost in the rounding.
+    """Add a mode's free response to the outputs at a piece's conversions, until it is lost in the rounding.
 
-    `largest` is the magnitude of the rest of the output.
+    `largest` is the magnitude of the output without free responses. Nothing is added if the free response is lost in
+    its rounding from the start.
     """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

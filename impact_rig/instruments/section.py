@@ -39,7 +39,7 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the attributes of the section `instruments`, with one for each instrument of the registry after the first.
+    """Return the attributes of the section `instruments`: `own`, with one per registered instrument behind the first.
 
     attrs calls this while it makes the class `Instruments`.
     """
@@ -58,7 +58,7 @@ class Instruments:
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return an instrument; the registry defines which exist."""
+            """Return the settings of the instrument called `name`; the registry defines which instruments exist."""
 
     def __attrs_post_init__(self) -> None:
         for instrument in self.all():
@@ -69,8 +69,10 @@ class Instruments:
         fitted = {"", *(instrument.name for instrument in self.fitted())}
         for fault in self.faults.faults(scan_rate_hz=1):
             if fault.channel not in fitted:
+                present = ", ".join(sorted(fitted - {""}))
                 raise ConfigError(
-                    f"faults.planned: {fault.kind} needs a channel that is present, {fault.channel} is not"
+                    f"faults.planned: {fault.kind} needs a channel that is present, {fault.channel} is not: "
+                    f"use {present}"
                 )
 
     def all(self) -> tuple[Instrument, ...]:
@@ -84,9 +86,9 @@ class Instruments:
 
 
 def columns(fitted: Iterable[Instrument | type[Instrument]]) -> tuple[Column, ...]:
-    """Return the columns of a scan of these instruments: time, one for each, status.
+    """Return the columns of a scan of these instruments: time, one column for each instrument, status.
 
-    Bit j of the status, 1 << j, says that channel j of them, counted from 0, was at an end of its range.
+    Bit j of the status, 1 << j, is set if the instrument number j of these, counted from 0, was at an end of its range.
     """
     time, status = SCAN_TOPIC.fields
     return (time, *(instrument.column() for instrument in fitted), status)
@@ -113,7 +115,7 @@ _COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
-    """Interface of a configuration for the instruments: the sections that they need; `RigConfig` has them."""
+    """Interface of a configuration from which instruments can be made: the sections used, as in `RigConfig`."""
 
     @property
     def daq(self) -> Daq:

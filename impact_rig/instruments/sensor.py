@@ -47,13 +47,19 @@ class Adc:
 
     bits: int = integer(16, "bit", "Resolution.", at_least=8, at_most=24)
     noise_v_rms: float = quantity(
-        280e-6, "V", "Noise at ± 10 V, rms; proportional to the range.", at_least=0, at_most=0.1
+        280e-6, "V", "Noise with the range ± 10 V, rms; proportional to the range.", at_least=0, at_most=0.1
     )
     gain_tolerance: float = quantity(60e-6, "-", "Limit of the relative gain error.", at_least=0, below=1)
-    offset_tolerance: float = quantity(20e-6, "-", "Limit of the offset, of the range.", at_least=0, below=1)
+    offset_tolerance: float = quantity(
+        20e-6, "-", "Limit of the offset, relative to the input range.", at_least=0, below=1
+    )
     multiplexed: bool = switch(True, "One converter for all channels: these are converted one after another.")
     conversion_ns: int = integer(
-        11_000, "ns", "Conversion interval; shorter when the scan period is.", at_least=1, at_most=10_000_000
+        11_000,
+        "ns",
+        "Time from one channel's conversion to the next; at most the scan period over the number of channels.",
+        at_least=1,
+        at_most=10_000_000,
     )
     aggregate_limit_hz: float = quantity(1e6, "Hz", "Conversions per second, all channels together.", above=0)
     anti_alias: str = choice(
@@ -71,9 +77,9 @@ distinct poles.
 
 @attrs.frozen(eq=False)
 class SensorModes:
-    """Transfer function of a sensor as partial fractions: its output is Σ Re(residue ψ), with ψ' = pole ψ + input.
+    """Transfer function of a sensor as partial fractions: the output is Σ Re(residue ψ), with ψ' = pole ψ + input.
 
-    The transfer function is strictly proper: it has more poles than zeros.
+    Each pole has its own ψ. The transfer function must be strictly proper: it has more poles than zeros.
 
     Attributes:
         poles: complex, shape (k,) [rad/s]; one of each conjugate pair, that with the imaginary part >= 0.
@@ -109,7 +115,7 @@ class Transfer:
     def response(self, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         """Return the frequency response H(j 2π f), in the shape of the frequencies.
 
-        It is for analyses and checks of the readings; the readings themselves are computed from `modes`.
+        It serves analyses and checks of the readings; the readings themselves are computed from `modes`.
         """
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)[..., None]
         above, below = (np.array([complex(place) for place in places]) for places in (self.zeros, self.poles))
@@ -141,7 +147,7 @@ def _modes(transfer: Transfer) -> SensorModes:
 
 
 def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
-    """Return the poles that are not below the real axis, moved apart so that no two are closer than `_DISTINCT`."""
+    """Return the poles with imaginary part >= 0, moved apart so that no two are closer than `_DISTINCT`, relatively."""
     upper: list[Complex] = []
     for pole in poles:
         if pole.imag < 0:
@@ -265,8 +271,8 @@ class Sensor:
     def behind(self, adc: Adc) -> Sensor:
         """Return the sensor together with the anti-alias filter of the board `adc`; unchanged if the board has none.
 
-        Linearity, resolution and end of range are applied after the dynamics, so after the filter. The noise keeps its
-        density and its single pole, at the lower of the two corners.
+        The filter becomes part of the sensor's dynamics, so linearity error, resolution and limits of the range act
+        after it. The noise keeps its density, and is low-passed at the lower of the two corners.
         """
         if adc.anti_alias == "none":
             return self

@@ -381,8 +381,8 @@ def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> 
 def _set_newton(step: Record, h: float) -> None:
     """Fill `step.newton`, the matrix of Newton's method, with MATRIX⁻¹ − h ∂slope/∂δ' − (h²/2) ∂slope/∂w MATRIX.
 
-    Newton's method solves δ' − δ'(start) − h MATRIX slope(δ') = 0 for the speeds δ' at the stages, and this is MATRIX⁻¹
-    times the derivative of those equations. Only the small part of a_r(t) is missing, see
+    Newton's method solves δ' − δ'(start) − h MATRIX slope(δ') = 0 for the speeds δ' at the stages, and the matrix is
+    MATRIX⁻¹ times the derivative of these equations. The small part due to a_r(t) is left out here, see
     `_add_acceleration_to_newton`.
     """
     newton = step.newton

@@ -125,7 +125,7 @@ def phasor(angle: float) -> complex:
 
 @kernel
 def bound_omega(system: Record, omega: float) -> float:
-    """Return the fastest rate [1/s] in a flight: that of the drive, `omega`, or of the fastest mode of the system."""
+    """Return the fastest rate in a flight [1/s]: the larger of `omega`, that of the drive, and |λ| of all modes."""
     fastest = max(omega, 1e-9)
     for n in range(system.modes):
         fastest = max(fastest, modulus(system.rate[n]))

@@ -52,7 +52,7 @@ from impact_rig.physics.state import COIL, V1, VB, X1, XB
 
 
 class MechanicsSetup(Protocol):
-    """Interface of a configuration for the mechanics: the sections that they need; `RigConfig` has them."""
+    """Interface of a configuration for which the mechanics can be simulated: the sections used, as in `RigConfig`."""
 
     @property
     def structure(self) -> Structure:

@@ -167,10 +167,10 @@ class Contacts:
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return f' and ½ f'' of the outcomes f at η_0, by perturbation number `which` of (η_1, η_2, α, γ).
+        """Return (whether the sphere left the wall in every contact, f', ½ f'') for the outcomes f at η_0.
 
-        They are differences between the outcomes of three contacts. The first result, which precedes them, says whether
-        the sphere left the wall in all three.
+        The derivatives are those by perturbation number `which` of (η_1, η_2, α, γ), computed from the differences
+        between three contacts.
         """
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)

@@ -198,7 +198,7 @@ class SamplingWorkspace(NamedTuple):
     Attributes:
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        steps: records of STATE: the steps of a tabulated contact, and one more.
+        steps: records of STATE: the steps of a tabulated contact, and last the state at its start.
         polynomials: Taylor polynomial of each quantity, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
         powers: (λ half)^k / k! of a rate λ and a half length, real and imaginary part, shape (2, PIECE_TERMS).

@@ -139,7 +139,7 @@ class Motion:
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
         if tick.shape != offset_s.shape:
-            raise ValueError(f"tick and offset must have one shape, got {tick.shape} and {offset_s.shape}")
+            raise ValueError(f"tick and offset must have the same shape, got {tick.shape} and {offset_s.shape}")
         out = np.empty((len(names), tick.size))
         query = Query(places(names), tick.reshape(-1), offset_s.reshape(-1), out)
         found = sample(*self.sampled, query)
@@ -183,7 +183,7 @@ class Motion:
         """
         turns = self.segments["duration"] * self.segments["omega"]
         if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
-            raise ValueError("each tick must be a single segment of one complete cycle of the drive")
+            raise ValueError("for cycles, each tick must be a single segment of one complete cycle of the drive")
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
         follow_cycles(self._model, self._trajectory, self._sampling.flight, out)
         found: NDArray[np.void] = out.view(CYCLE)[:, 0]
@@ -214,8 +214,8 @@ sphere needs only some ten states per segment.
 
 _FAILURES = {
     NEED_ROOM: f"more than {MOST_STATES} flights and steps of contacts in one drive segment",
-    STUCK: "no progress",
-    UNSOLVED: "no solution for a step of a contact",
+    STUCK: "no progress in a drive segment",
+    UNSOLVED: "no solution for a step of a contact in a drive segment",
 }
 _WHOLE = 1e-9  # largest error of the phase of a complete cycle [rad]
 _STATES, _IMPACTS = 1 << 15, 1 << 11  # initial room: untouched pages take no memory
@@ -374,9 +374,9 @@ class Simulation:
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Set the state to the seven numbers that `state` returned, from which the next call of `advance` continues.
 
-        A sphere at rest on a wall stays there, in phase ATTACHED, until the wall moves away from it. With friction of
-        the guide, a sphere at rest between the walls is ATTACHED as well, until it slips. The energy account begins
-        again if this simulation was created with `account`.
+        A sphere on a wall that is at rest relative to it stays there, in phase ATTACHED, until the wall moves away from
+        the sphere. With friction of the guide, a sphere at rest between the walls is ATTACHED as well, until it slips.
+        The energy account begins again if this simulation was created with `account`.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -396,8 +396,8 @@ class Simulation:
         """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
-            SimulationError: no progress is made, a step of a contact cannot be solved, or a segment needs more than
-                `MOST_STATES` rows.
+            SimulationError: the motion makes no progress, a step of a contact cannot be solved, or a segment needs more
+                than `MOST_STATES` states.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:
@@ -417,8 +417,8 @@ class Simulation:
             if ended != NEED_ROOM or states - work.first_state[index] > MOST_STATES:
                 s = work.states[0]
                 raise SimulationError(
-                    f"{_FAILURES[ended]} in tick {self.tick + ticks - 1}, {s['t']:.9f} s after the start of a drive "
-                    f"segment, in phase {PHASES[s['phase']]}: the motion cannot be simulated"
+                    f"the motion cannot be simulated: {_FAILURES[ended]}, {s['t']:.9f} s after its start, in tick "
+                    f"{self.tick + ticks - 1} and phase {PHASES[s['phase']]} of the motion"
                 )
             more = {"history": _longer(work.history, STATE), "impacts": _longer(work.impacts, IMPACT)}
             work = self._work = work._replace(**more)

@@ -121,7 +121,7 @@ class Buffer:
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that is not in the buffer."""
+        """Return the number of the first sample from `first` on that is not in the buffer; all before it are."""
         at = max(first, self._whole_to)
         missing = np.flatnonzero(~self.there(at, first + self.capacity))
         self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
@@ -195,8 +195,8 @@ class Stream:
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(
-                f"the block reaches {ahead:.6g} s ahead, beyond drive.stream_buffer_s = {self._buffer_s:g} s: "
-                "send the samples beyond it later"
+                f"the block of samples reaches {ahead:.6g} s ahead of the rig, beyond drive.stream_buffer_s = "
+                f"{self._buffer_s:g} s: send the samples beyond it later"
             )
         self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))
@@ -295,7 +295,7 @@ class Stream:
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
     def _play(self, end: int) -> NDArray[np.float64]:
-        """Let the samples played … end − 1 take effect and return their values; missing ones are replaced."""
+        """Play the samples from number `played` to end − 1: return their values, with replacements for missing ones."""
         parts = [np.empty(0)]
         while self.played < end:
             there = self.buffer.there(self.played, end)

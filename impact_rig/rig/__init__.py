@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Virtual rig without ROS: physics and instruments on one time base, with deterministic commands and a journal."""
+"""Virtual rig without ROS: physics and instruments on one time base, with commands and a journal of all inputs."""
 
 from typing import TYPE_CHECKING
 

@@ -13,7 +13,8 @@
 # limitations under the License.
 """`RigConfig`: the complete configuration of a rig as one frozen value, with its readers and writers.
 
-Laws and instruments define their own sections; this module combines them. No compiled code is imported.
+Contact laws and instruments define the settings of their own sections; this module combines all sections. It imports no
+compiled code.
 """
 
 from __future__ import annotations
@@ -103,12 +104,18 @@ class RigConfig:
                 f"{shaker.frequency_max_hz:g} Hz, got {drive.frequency_hz:g} Hz"
             )
         if (drive.kind, drive.waveform, drive.stream_hold) == ("prescribed", "stream", "zero_order"):
-            raise ConfigError("drive.stream_hold must be first_order for a prescribed base, which cannot jump")
+            raise ConfigError(
+                "drive.stream_hold must be first_order for a stream that prescribes the motion of the base "
+                "(drive.kind: prescribed), because the base cannot jump, got zero_order"
+            )
         scan = row_type_of(self.instruments).itemsize
         most = (MAX_MESSAGE_BYTES - _OVERHEAD_BYTES) // max(scan, TRUTH_SCAN.itemsize * self.output.truth_scan)
         if self.daq.block_scans > most:
-            why = "with output.truth_scan" if self.output.truth_scan else f"({MAX_MESSAGE_BYTES} bytes per message)"
-            raise ConfigError(f"daq.block_scans must be <= {most} {why}, got {self.daq.block_scans}")
+            case = " with output.truth_scan" if self.output.truth_scan else ""
+            raise ConfigError(
+                f"daq.block_scans must be <= {most}{case}, so that a message has at most {MAX_MESSAGE_BYTES} bytes, "
+                f"got {self.daq.block_scans}"
+            )
 
 
 TREE = Tree(RigConfig)

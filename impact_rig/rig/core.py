@@ -13,10 +13,11 @@
 # limitations under the License.
 """`Rig`: drive, mechanics, instruments and the journal combined. It is pure: time is an argument, and nothing sleeps.
 
-Everything happens on the command grid. The rig has simulated whole ticks of 10 ms up to its *frontier*. An input takes
-effect there, at the first time not yet simulated, and is journaled with the first scan it acts on. Blocks are cut from
-the measured scans, so neither their length nor the pattern of calls of `advance` changes a sample. Individually valid
-values may be jointly infeasible, so each new configuration is tried in a short simulation first.
+The rig simulates whole ticks of 10 ms, the command grid. The first time that is not yet simulated is its *frontier*. An
+input takes effect at the frontier and is written to the journal with the first scan on which it acts. Blocks are cut
+from the scans after these are measured, so neither the length of a block nor the pattern of calls of `advance` changes
+a sample. Individually valid values may be jointly infeasible, so each new configuration is tried in a short simulation
+first.
 """
 
 from __future__ import annotations
@@ -67,10 +68,10 @@ DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; th
 
 
 def new_generator(config: RigConfig) -> FunctionGenerator:
-    """Return a new function generator at the configuration's initial frequency and amplitude.
+    """Return a new function generator that starts with the frequency and amplitude of the configuration.
 
     Raises:
-        ConfigError: the initial frequency or amplitude exceeds the limits of the shaker.
+        ConfigError: this amplitude exceeds the limits of the shaker, or the band of a random drive is too high.
     """
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
@@ -99,7 +100,10 @@ def tried_model(config: RigConfig) -> Model:
             raise
         raise ConfigError(f"the mechanics with this combination of values cannot be simulated: {error}") from error
     if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
-        raise ConfigError("the mechanics with this combination of values moves to infinity in a trial simulation")
+        raise ConfigError(
+            "the mechanics with this combination of values cannot be simulated: the motion becomes infinite within "
+            f"{TRIAL_TICKS * COMMAND_GRID_S:g} s"
+        )
     return model
 
 
@@ -119,21 +123,22 @@ def _check_together(config: RigConfig, model: Model) -> None:
         for value in np.abs(system["rate"][: int(system["modes"])]):
             if not SLOWEST_RATE <= value <= FASTEST_RATE:
                 raise ConfigError(
-                    f"structure and shaker must have modes of rates >= {SLOWEST_RATE:g} and <= {FASTEST_RATE:g} 1/s "
-                    f"(springs over dampings, dampings over masses, resistance over inductance), got {value:.3g}"
+                    f"each mode of structure and shaker must have a rate >= {SLOWEST_RATE:g} and <= {FASTEST_RATE:g} "
+                    f"1/s, got {value:.3g} 1/s: change the ratio of stiffness or damping to mass, of stiffness to "
+                    "damping, or of coil resistance to inductance"
                 )
 
 
 @attrs.frozen(eq=False)
 class Block:
-    """Block of consecutive scans of a rig, with the true motion, and with the contacts that ended, during them.
+    """Block of consecutive scans of a rig, with the true motion during them and the contacts that ended in this time.
 
     If a fault withholds the scans (`lost`), all other tables are still published.
 
     Attributes:
         number: number of the block since the start or reset, from 0.
         first_scan: index of its first scan since the start or reset, from 0.
-        end_ns: stamp of the first scan after the block: the time at which it is complete [ns].
+        end_ns: stamp of the first scan after the block, which is the time at which the block is complete [ns].
         scan: table of `daq/scan`.
         impacts: table of `truth/impacts`, the contacts that ended in this block; None if there were none.
         monitor_states: true motion at the instants of the monitor topics, rows of `blocks.TRUTH_SCAN`, with `time`
@@ -141,7 +146,7 @@ class Block:
         monitor_scans: indices of the rows of `scan` at these instants.
         truth: table of `truth/scan`; None unless configured.
         faults: table of `truth/faults`, the faults that start or end in this block; None if there are none.
-        lost: whether a `lost_block` fault acts on one of the scans, which are then withheld.
+        lost: whether a `lost_block` fault acts on any of the scans; then all scans of the block are withheld.
     """
 
     number: int
@@ -156,9 +161,9 @@ class Block:
     lost: bool
 
     def tables(self) -> list[tuple[topics.Topic, Table]]:
-        """Return the tables of the block, each with its topic: the scans, unless they are withheld, then the truth.
+        """Return the tables of the block that exist, each with its topic: first the scans, unless they are withheld.
 
-        A rig over ROS publishes the scans last.
+        The others follow in the order impacts, faults, true motion. A rig over ROS publishes the scans last instead.
         """
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
@@ -221,7 +226,7 @@ class Rig:
 
     @property
     def frontier_ns(self) -> int:
-        """First time that is not yet simulated [ns], on the command grid: an input made now takes effect there."""
+        """First rig time that is not yet simulated [ns], on the 10 ms grid; an input made now takes effect there."""
         return self.start_ns + self._ticks * COMMAND_GRID_NS
 
     @property
@@ -236,7 +241,7 @@ class Rig:
 
     @property
     def frequency_hz(self) -> float:
-        """Drive frequency at the frontier [Hz], the end of what is simulated."""
+        """Drive frequency [Hz] at the frontier, the first time that is not yet simulated."""
         return float(self._generator.frequency_hz)
 
     @property
@@ -251,17 +256,17 @@ class Rig:
 
     @property
     def plucked(self) -> bool:
-        """Return whether the base is locked after a pluck, until the next reset."""
+        """Return whether `pluck` has locked the inferior base, which lasts until the next reset."""
         return self._simulation.locked
 
     @property
     def simulation(self) -> Simulation:
-        """Simulation of the mechanics, from which diagnostics take the energy balance."""
+        """Simulation of the mechanics, for diagnostics such as the energy balance; do not advance it."""
         return self._simulation
 
     @property
     def is_driven(self) -> bool:
-        """Return whether an amplitude is commanded, or samples of a stream are active."""
+        """Return whether the commanded amplitude is not zero or, for a stream, whether samples take effect now."""
         stream = self._generator.stream
         return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
@@ -284,11 +289,11 @@ class Rig:
         return self._generator.stream
 
     def blocks_with_samples(self, most: int) -> int:
-        """Return how many of the next blocks a rig that waits for samples may simulate.
+        """Return how many of the next blocks can be simulated with the samples of the stream that have arrived.
 
         Args:
-            most: number of blocks of interest. It is the result if the drive is not a stream, does not wait
-                (`drive.stream_wait`), or gets no more samples because the stream has ended or was stopped.
+            most: upper limit of the result. It is also the result if no block has to wait for samples: the drive is not
+                a stream, it is not configured to wait (`drive.stream_wait`), or the stream has ended or was stopped.
         """
         stream = self._generator.stream
         whole = stream.whole_ticks() if stream is not None and self._drive.stream_wait else None
@@ -298,7 +303,7 @@ class Rig:
         return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
-        """Return the table of the topic `shaker/stream`, one row, whose stamp is the time of the sample needed next.
+        """Return the table of the topic `shaker/stream`: one row, with the time of the next sample needed as stamp.
 
         Raises:
             CommandError: the drive is not a stream.
@@ -310,15 +315,15 @@ class Rig:
         return Table(self.start_ns + stream.time_ns(stream.played), np.array([row], STREAM))
 
     def block_end_ns(self, blocks: int) -> int:
-        """Return the rig time at which the next blocks will be complete [ns].
+        """Return the rig time at which the next `blocks` blocks will be complete [ns].
 
         Args:
-            blocks: number of blocks, from the first one that `advance` has not returned.
+            blocks: number of blocks, from the first one on that `advance` has not returned.
         """
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
     def info(self) -> Table:
-        """Return the table of the topic `daq/info`, the calibration, with the time from which it applies as stamp."""
+        """Return the table of the topic `daq/info`, the calibration; its stamp is the time from which it applies."""
         if self._certificate is None:
             self._certificate = self._chain.info()
         rows, stamp = self._certificate.copy(), self._stamp(self._info_sample)
@@ -328,17 +333,18 @@ class Rig:
     # Time
 
     def advance(self, until_ns: int) -> list[Block]:
-        """Simulate up to a rig time, and return the blocks that are then complete.
+        """Simulate up to a rig time, and return the blocks that have become complete since the last call.
 
-        A block that ends later is simulated in part, so a long block is not computed all at once.
+        A block that ends after `until_ns` is already simulated up to that time, so a long block is not computed all at
+        once.
 
         Args:
             until_ns: rig time [ns].
 
         Returns:
-            Blocks, oldest first; none if `until_ns` is before the end of the next one. Of each, `scan` is the table of
-            `daq/scan`; `number`, `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and `truth`
-            are tables of the true events and motion, or None. `lost` says that a fault withholds the scans.
+            Blocks, oldest first; none if `until_ns` is before the end of the next one. In a block, `scan` is the table
+            of `daq/scan`, and `number`, `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and
+            `truth` are tables of the true events and motion, or None. `lost` says whether a fault withholds the scans.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns
@@ -358,7 +364,11 @@ class Rig:
             self._simulate(min(needed - self._ticks, BATCH_TICKS))
 
     def _simulate(self, ticks: int) -> None:
-        """Simulate `ticks` ticks; fewer up to a trip, a timeout, an event of the stream or a change of the clock."""
+        """Simulate at most `ticks` ticks, but none beyond the next change of the drive or of the clock.
+
+        Such a change is the first of these: the interlock trips, the command timeout passes, an event of the stream
+        occurs, or a fault changes the rate of the scan clock.
+        """
         self._time_out_if_due()  # immediately, if the timeout was shortened
         due = self._timeout_tick()
         if due is not None:
@@ -390,7 +400,10 @@ class Rig:
             self._time_out_if_due()
 
     def _journal_stream(self) -> Trip | None:
-        """Journal the events of the stream; return the trip of an underrun, if configured."""
+        """Write the stream's new events to the journal; return a trip if one is an underrun that is to trip the shaker.
+
+        That is configured by `drive.on_underrun: trip`. Otherwise, and if the shaker is already latched, return None.
+        """
         stream, trip = self._generator.stream, None
         if stream is None or not stream.events:
             return None
@@ -402,7 +415,7 @@ class Rig:
         return trip
 
     def _cut(self, size: int) -> Block:
-        """Return the next `size` scans as a block."""
+        """Return the next `size` scans as a block, together with the truth and faults during them, and remove all."""
         first = self._next_scan
         stamp = self._stamp(first)
         states, scans, is_monitored = self._truth.pop_states(first, size)
@@ -438,8 +451,8 @@ class Rig:
             The table that is published on `shaker/applied`: one row with the first scan that the command acts on.
 
         Raises:
-            CommandError: a value is out of range or not finite, the waveform does not accept it, or the shaker is
-                latched or locked. Nothing is changed.
+            CommandError: a value is out of range or not finite, the waveform does not accept it, the shaker is latched,
+                or a pluck has locked the base. Nothing is changed.
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
@@ -462,9 +475,9 @@ class Rig:
     def feed(self, first_sample: int, values: ArrayLike) -> int:
         """Store samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. A sample that is not yet active may be
-        replaced, and a repeated sample counts once. An empty array ends the stream at `first_sample`. Other missing
-        samples cause an underrun.
+        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. Until that time is simulated, the
+        sample may be sent again and replaced. An empty array ends the stream at `first_sample`. A sample that is
+        missing anywhere else, once the stream has begun, causes an underrun.
 
         Args:
             first_sample: number of the first sample.
@@ -475,7 +488,8 @@ class Rig:
 
         Raises:
             CommandError: a value is not finite or exceeds the shaker, the samples reach beyond `drive.stream_buffer_s`,
-                the shaker is latched or locked, or the drive is not a stream; none of the samples is stored then.
+                the shaker is latched, a pluck has locked the base, or the drive is not a stream. Then none of the
+                samples is stored.
         """
         stream = self.stream
         try:
@@ -496,7 +510,8 @@ class Rig:
             stamp_ns: rig time [ns].
 
         Raises:
-            CommandError: the time is more than a quarter of a sample off, or the drive is not a stream.
+            CommandError: the time is more than a quarter of the sample interval from the time of the nearest sample, or
+                the drive is not a stream.
         """
         rate = self.stream.rate_hz
         sample = scan_index(stamp_ns, rate, self.start_ns)
@@ -504,19 +519,19 @@ class Rig:
         if abs(off_ns) * rate * 4 > NS_PER_S:
             self._refused_blocks += 1
             raise CommandError(
-                f"the stamp of a block of samples must be the time of a sample, {rate} per second from "
-                f"{self.start_ns} ns on: {stamp_ns} ns is {off_ns} ns off the nearest one"
+                f"the stamp of a block of samples must be the time of its first sample, with {rate} samples per second "
+                f"from {self.start_ns} ns on: {stamp_ns} ns is {off_ns} ns off the nearest sample"
             )
         return sample
 
     def configure(self, changes: Mapping[str, object]) -> RigConfig:
         """Change configuration values at the frontier, all or none.
 
-        Gap, law, sphere and all other parts of the mechanics, the instruments and the interlock's limits change at
-        once. After a change of the mechanics (all of structure, shaker, sphere, barriers and contact except limits and
-        ramp of the shaker) the sphere rests at `sphere.start` again, and the energy account restarts. The drive's
-        initial values and the seed apply at the next reset. A line added to the planned faults is injected, with its
-        `start_s` counted from now; a removed line is cleared.
+        The mechanics, the instruments and the limits of the shaker change at the frontier. After a change of the
+        mechanics (all of structure, shaker, sphere, barriers and contact except limits and ramp of the shaker) the
+        sphere rests at `sphere.start` again, and the energy account restarts. The section `drive` and the seed apply at
+        the next reset. A line added to the planned faults starts its fault, with `start_s` counted from the frontier; a
+        removed line ends its fault.
 
         Args:
             changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
@@ -530,16 +545,16 @@ class Rig:
         config = from_flat(self.config, changes)
         changed = differences(config, self.config)
         if not changed.keys().isdisjoint(("daq.rate_hz", "daq.block_scans")):
-            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start: make a new rig to change them")
+            raise ConfigError("daq.rate_hz and daq.block_scans are fixed at start: create a new rig to change them")
         self.adopt(config, changed)
         return config
 
     def adopt(self, config: RigConfig, changed: Mapping[str, Value]) -> None:
-        """Apply a configuration that differs from the present one in some values, as `configure` does.
+        """Apply a complete configuration at the frontier, with the same effects as `configure`.
 
         Args:
             config: the new configuration.
-            changed: the values that differ, by full name.
+            changed: the values in which it differs from the present configuration, by full name.
 
         Raises:
             ConfigError: the values contradict each other, or cannot be simulated together; nothing is changed.
@@ -571,9 +586,11 @@ class Rig:
             self._info_sample, self._certificate = self.frontier_sample, None
 
     def reset(self) -> None:
-        """Start again at the frontier with the present configuration: scan 0, everything at rest and new.
+        """Start again at the frontier with the present configuration: from scan 0, with all bodies at rest.
 
-        Scans measured but not yet cut into a block are dropped. Stamps continue, so none is used twice.
+        The drive starts with its configured frequency and amplitude, injected faults are gone, and a base locked by
+        `pluck` is released. Scans measured but not yet returned in a block are dropped. Stamps continue, so none is
+        used twice.
 
         Raises:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
@@ -583,7 +600,9 @@ class Rig:
         self._begin(InputKind.RESET, self.frontier_ns)
 
     def pluck(self, displacement_m: float) -> None:
-        """Lock the inferior base and release the superior base from rest at a displacement: free decay until a reset.
+        """Lock the inferior base at zero and release the superior base from rest at a displacement: a free decay.
+
+        The base stays locked, and commands are refused, until a reset.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
@@ -603,7 +622,7 @@ class Rig:
     def stop(self, reason: str = EMERGENCY) -> None:
         """Ramp the shaker to zero within `shaker.stop_ramp_s` and latch it until `clear_trip`: the emergency stop.
 
-        The ramp begins at the frontier. A rig that has not simulated anything yet never starts to move.
+        The ramp begins at the frontier. A rig that is stopped before its first `advance` does not start to move.
 
         Args:
             reason: reason to report, by default "emergency stop".
@@ -612,17 +631,17 @@ class Rig:
         self._latch(reason)
 
     def clear_trip(self) -> None:
-        """Release the latch, if any; the amplitude stays zero until the next command."""
+        """Release a shaker that `stop` or a trip has latched; its amplitude stays zero until the next command."""
         self._add_entry(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched, self._tripped = None, frozenset()
             self._interlock.reset()
 
     def inject(self, fault: Fault) -> int:
-        """Start an instrument fault at its `start_sample`.
+        """Plan an instrument fault, which acts from the scan `fault.start_sample` on.
 
         Args:
-            fault: the fault; its `start_sample` must not be measured yet.
+            fault: the fault; the scan with the number `start_sample` must not be measured yet.
 
         Returns:
             Number of the fault since the reset, from 1.
@@ -638,8 +657,8 @@ class Rig:
         """End instrument faults at the first scan that is not measured yet.
 
         Args:
-            number: number of the fault, as returned by `inject`; None ends all of them. A fault that has ended may be
-                given again.
+            number: number of the fault, as returned by `inject`; None ends all faults. The number of a fault that has
+                already ended is allowed and has no effect.
 
         Raises:
             CommandError: no fault of this number was planned or injected since the start or reset.
@@ -648,7 +667,7 @@ class Rig:
         self._add_entry(InputKind.CLEAR_FAULT, value=None if number is None else float(number))
 
     def take_applied(self) -> list[Table]:
-        """Return the tables for the topic `shaker/applied` since the last call, and drop them."""
+        """Return the tables for the topic `shaker/applied` that have arisen since the last call, and drop them."""
         applied, self._applied = self._applied, []
         return applied
 
@@ -656,7 +675,7 @@ class Rig:
 
     @property
     def _drive(self) -> Drive:
-        """Drive configuration at the last start or reset, which is still active; `config.drive` is that of the next."""
+        """Drive configuration of the last start or reset, which is active until the next one uses `config.drive`."""
         return self._simulation.config.drive
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:
@@ -710,9 +729,10 @@ class Rig:
         self._add_applied()
 
     def _timeout_tick(self) -> int | None:
-        """Return the tick at which the drive ramps down for want of commands (`output.command_timeout_s`).
+        """Return the number of the tick at whose start the drive ramps down, unless a command arrives before.
 
-        Return None if there is no timeout, or nothing to ramp down.
+        Return None if no timeout is configured (`output.command_timeout_s`), if it has already passed since the last
+        command, or if the shaker is latched or its amplitude zero.
         """
         timeout = self.config.output.command_timeout_s
         if timeout <= 0 or self._timed_out or self._latched is not None or self.target_amplitude == 0:

@@ -13,10 +13,10 @@
 # limitations under the License.
 """URDF of the rig: the content of `robot_description`, from which RViz and robot_state_publisher know the bodies.
 
-Joint positions on `truth/joint_states` are absolute, so all three prismatic joints are attached to the fixed frame
-`rig`. The barriers are visuals of the superior base: the gap moves them, but no transform. Masses are those of the
-configuration; inertias are those of the bodies drawn. Shapes and heights are chosen for a clear picture; the paper
-gives none.
+Joint positions on `truth/joint_states` are relative to the fixed frame `rig`, so all three prismatic joints are
+attached to it. The barriers are visuals of the superior base: another gap draws them elsewhere, but changes no
+transform. Masses are those of the configuration; inertias are those of the drawn bodies. Shapes and heights are chosen
+for a clear picture; the paper gives none.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ _SHOWN = operator.itemgetter(
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
     """Return the values of a message on `truth/joint_states` for a true state, a row of `blocks.TRUTH_SCAN`.
 
-    They are positions [m], velocities [m/s], and the contact force on each body [N], positive to the right. Each list
-    is in the order of `JOINTS`.
+    The three lists are positions [m], velocities [m/s], and contact forces on the bodies [N], all positive to the
+    right. Each list is in the order of `JOINTS`.
     """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Gap of a rig as one number, which for 0 means a rig without its sphere, for configurations, labels and texts."""
+"""Gap of a rig as one number: the distance that the sphere can move between the barriers [m], or 0 without a sphere."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import math
 from impact_rig.config.tree import Value
 
 NO_SPHERE = 0.0
-"""Gap value that represents a run without the sphere, as in the analysis's labels; `none` in a campaign file."""
+"""Gap value that represents a rig without the sphere, also in labels of the analysis; a campaign file says `none`."""
 
 
 def case_of(gap_m: float) -> str:
@@ -33,6 +33,6 @@ def case_of(gap_m: float) -> str:
 def gap_values(gap_m: float) -> dict[str, Value]:
     """Return the configuration values, by full name, that give a rig this gap [m], or no sphere for `NO_SPHERE`.
 
-    Without a sphere the barriers have no effect, so their gap is not among the values.
+    For `NO_SPHERE` the gap between the barriers is not among the values, because it has no effect without a sphere.
     """
     return {"sphere.present": False} if gap_m == NO_SPHERE else {"sphere.present": True, "barriers.gap_m": gap_m}

@@ -11,10 +11,10 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Protection of the shaker: command limits, and the interlock on true travel of the base and coil current.
+"""Protection of the shaker: limits of commands, and an interlock on the true travel of the base and the coil current.
 
-The interlock samples the motion at fixed instants of the command grid, so that neither scan rate, block length nor the
-division into calls affects whether it trips. The straight lines of a streamed current are integrated exactly.
+The interlock samples the motion ten times per tick of 10 ms, so neither the scan rate, nor the block length, nor the
+number of ticks per call affects whether it trips. The square of a streamed current is integrated exactly.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from impact_rig.physics.sampling import QUERY, SAMPLED, Query, SamplingWorkspace
 from impact_rig.physics.stream import UNDERRUN
 
 SAMPLES_PER_TICK = 10
-"""Number of instants per tick at which the interlock samples the motion: one per 1 ms. The extremes between them follow
-from position and velocity. At the 30 Hz below which this shaker can reach its stops, their error is 3e-6
-(spacing⁴ ω⁴ / 384).
+"""Number of instants per tick at which the interlock samples the motion: one per 1 ms. The extremes of the position
+between two instants follow from position and velocity at both. Their relative error is 3e-6 (spacing⁴ ω⁴ / 384) at
+30 Hz, the highest frequency at which this shaker can reach its stops.
 """
 CURRENT_TIME_S = 1.0
 """Time constant of the exponential average of the squared current [s]."""
 OVER_CURRENT_MARGIN = 1.05
-"""Factor on the current limit at which the interlock trips: the average of a sine at the limit, which is a legal
-command, ripples by 0.8 % at 5 Hz.
+"""Multiple of the current limit at which the interlock trips. It is above 1 because a sine at the limit is a legal
+command, whose average ripples by 0.8 % at 5 Hz.
 """
 OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
@@ -56,8 +56,9 @@ class Trip:
     """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun.
 
     Attributes:
-        tick: tick of 10 ms in which it tripped, from 0 for the first of the simulated ones.
-        reason: `over_travel`, `over_current` or `underrun`.
+        tick: number of the 10 ms tick in which the limit was exceeded, from 0 for the first tick of the checked motion;
+            0 for an underrun.
+        reason: `over_travel`, `over_current` or `underrun` (a sample of a stream did not arrive in time).
         measured: travel [m], current [A rms], or number of the missing sample.
         limit: limit of travel [m] or current [A rms]; 0 for an underrun.
     """
@@ -77,10 +78,10 @@ class Trip:
 
 
 class Interlock:
-    """Monitor of simulated ticks that trips if the travel of the base or its coil current exceeds the shaker's limits.
+    """Monitor of simulated ticks that trips if the base's travel or the shaker's coil current exceeds its limit.
 
-    The travel trips at once. The current trips if its rms, averaged exponentially with a time constant of 1 s, exceeds
-    the limit by 5 %. A prescribed base motion has no shaker and never trips.
+    Travel beyond the limit trips at once. The current trips if its rms, averaged exponentially with a time constant of
+    1 s, exceeds the limit by 5 %. A prescribed base motion has no shaker and never trips.
     """
 
     def __init__(self) -> None:
@@ -100,14 +101,16 @@ class Interlock:
     def watch(
         self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
     ) -> Trip | None:
-        """Return the first trip in simulated ticks, or None; update the average of the current up to the trip.
+        """Return the first trip in simulated ticks, or None if no limit is exceeded.
+
+        The average of the current is updated over all ticks, or up to the tick of the trip.
 
         Args:
-            motion: simulated ticks, of `tick_s` seconds each.
-            tick_s: duration of a tick [s of motion].
+            motion: the simulated ticks.
+            tick_s: duration of a tick in the time of the motion [s]: 10 ms, scaled by the error of the scan clock.
             drive: drive that moved the base.
             shaker: shaker with its limits.
-            known: reasons that have tripped already and do not trip again.
+            known: reasons for which the shaker has tripped already; they do not trip again.
         """
         if drive.kind == "prescribed":
             return None
@@ -143,8 +146,8 @@ def travel_and_current(
     """Compute each tick's largest |travel| [m] and mean square of the current [A²], into `found` of shape (ticks, 2).
 
     `query` requests travel, its rate and the current at all sampled instants: `spacing_s` [s] apart, from the start of
-    each tick to its end. The start of a tick counts for its travel; for the mean square it counts only in the tick
-    before.
+    each tick to its end. The instant between two ticks counts for the travel of both, but for the mean square only in
+    the earlier tick.
     """
     per_tick = query.tick.shape[0] // found.shape[0]
     for i in range(query.tick.shape[0]):
@@ -158,7 +161,7 @@ def travel_and_current(
 
 @kernel
 def mean_square(values: Reals) -> float:
-    """Return the mean of the squares of all values except the first, which is that of the tick before."""
+    """Return the mean of the squares of all values except the first, which already counts in the tick before."""
     total = 0.0
     for i in range(1, values.shape[0]):
         total += values[i] * values[i]
@@ -243,7 +246,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
-    """Return the drive amplitude's name, unit and largest value, and the parameter from which that value follows."""
+    """Return name, unit and largest allowed value of the drive's amplitude, and as text the parameter that sets it."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

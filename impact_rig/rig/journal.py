@@ -13,9 +13,10 @@
 # limitations under the License.
 """Journal: every input that changes the future of the rig, with the first scan that it acts on.
 
-Each entry is one JSON object on `rig/journal`. A journal, from its `start` or `reset` on, is all that a re-simulation
-needs. Its first entry holds the configuration (the differences from the default `RigConfig`). Entries are numbered, so
-a missing one is detected. This module also defines what a parameter change affects, and when it takes effect.
+Each entry is one JSON object on `rig/journal`. A journal, from its `start` or `reset` on, and the samples of a streamed
+drive are all that a re-simulation needs. The first entry holds the configuration (the differences from the default
+`RigConfig`). Entries are numbered, so a missing one is detected. This module also defines which parameters affect
+samples, and when a change of a parameter takes effect.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from impact_rig.simtime import stamp_ns
 from impact_rig.states import Word
 
 PUBLISHING_SECTIONS = ("time.", "step.", "pluck.", "output.")
-"""Sections that change when and what is published, but no sample: they are not in the journal."""
-SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # exceptions in `PUBLISHING_SECTIONS`: they affect samples
+"""Prefixes of the configuration values that change what is published, and when, but no sample; not in the journal."""
+SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # affects samples, although in `PUBLISHING_SECTIONS`
 
 
 class InputKind(Word):
@@ -79,14 +80,17 @@ RESULTS = (InputKind.TRIP, InputKind.TIMEOUT, InputKind.STREAM)  # entries that 
 class JournalEntry:
     """Entry of a journal: one input that changed the rig, or a result that a re-simulation must reproduce.
 
+    The members `name` to `fault` depend on the kind, and `kind.doc` says what they mean. Members that a kind does not
+    use are empty.
+
     Attributes:
         sequence: number of the entry, from 0 at `start` or `reset`.
-        kind: kind of the entry; `kind.doc` says what the members `name` to `fault` mean. Unused members are empty.
+        kind: kind of the entry.
         sample: index of the first scan that it acts on, from 0 at `start` or `reset`.
         stamp_ns: stamp of that scan [ns].
-        name: subject: a command, the quantity that tripped, an event of the stream.
-        value: number.
-        text: text.
+        name: what a command changes, the reason of a trip, or the event of a stream.
+        value: number that belongs to `name`, or the displacement of a pluck, or the number of a fault.
+        text: version of impact_rig, or details of a stream's event.
         values: configuration values by full name.
         fault: instrument fault.
     """
@@ -103,7 +107,7 @@ class JournalEntry:
 
     @property
     def number(self) -> float:
-        """Member `value` of an entry whose kind requires it, such as a command or a pluck."""
+        """Member `value` of an entry, for the kinds that always have one, such as a command or a pluck."""
         assert self.value is not None
         return self.value
 
@@ -137,7 +141,7 @@ class JournalEntry:
             raise ConfigError(f"a journal entry must be a JSON object, got {line[:60]!r}")
         unknown = content.keys() - _MEMBERS.keys()
         if unknown:
-            raise ConfigError(f"journal entry with unknown member {min(unknown)!r}")
+            raise ConfigError(f"journal entry with unknown member {min(unknown)!r}, known are {', '.join(_MEMBERS)}")
         for member, kinds in _MEMBERS.items():
             is_required = member in ("sequence", "kind", "sample", "stamp_ns")
             if (member in content or is_required) and type(content.get(member)) not in kinds:
@@ -145,7 +149,8 @@ class JournalEntry:
         try:
             kind = InputKind(content["kind"])
         except ValueError:
-            raise ConfigError(f"journal entry of unknown kind {content['kind']!r}") from None
+            known = ", ".join(InputKind)
+            raise ConfigError(f"journal entry of unknown kind {content['kind']!r}, known are {known}") from None
         values = {name: _typed(name, value) for name, value in content.pop("values", {}).items()}
         fault = _fault(content.pop("fault"), content["sample"]) if "fault" in content else None
         if "value" in content:
@@ -157,7 +162,7 @@ class JournalEntry:
         if not 0 <= content["stamp_ns"] < 2**63:
             raise ConfigError(f"stamp_ns of a journal entry must be from 0 to 2**63 - 1: {line[:60]!r}")
         if (fault is not None) != (kind is InputKind.FAULT):
-            raise ConfigError(f"a journal entry has a fault if it is of kind fault, and only then: {line[:60]!r}")
+            raise ConfigError(f"a journal entry of kind fault needs a fault, others must have none: {line[:60]!r}")
         return cls(**content | {"kind": kind, "values": values, "fault": fault})
 
 
@@ -174,17 +179,17 @@ def _float(name: str, value: float) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ConfigError(f"{name} of a journal entry is too large") from None
+        raise ConfigError(f"{name} of a journal entry is too large, it must be below 1.8e308") from None
 
 
 def _typed(name: str, value: Any) -> Value:
-    """Convert a JSON value to the type of the configuration value `name`.
+    """Return a JSON value as the type that the configuration value called `name` has.
 
     Raises:
-        ConfigError: there is no such configuration value, or it has another type.
+        ConfigError: there is no configuration value of this name, or the JSON value has another type.
     """
     if name not in _DEFAULTS:
-        raise ConfigError(f"journal entry of unknown configuration value {name!r}")
+        raise ConfigError(f"journal entry with the unknown configuration value {name!r}")
     default = _DEFAULTS[name]
     if isinstance(default, tuple) and isinstance(value, list) and all(isinstance(one, str) for one in value):
         return tuple(value)
@@ -198,7 +203,8 @@ def _typed(name: str, value: Any) -> Value:
 def _fault(content: Mapping[str, Any], sample: int) -> Fault:
     for name, value in content.items():
         if name not in _OF_FAULT:
-            raise ConfigError(f"fault in the journal with unknown member {name!r}")
+            known = ", ".join(sorted(_OF_FAULT))
+            raise ConfigError(f"fault in the journal with unknown member {name!r}, known are {known}")
         allowed = (str,) if name in ("kind", "channel") else (int,) if name in ("samples", "seed") else (int, float)
         if type(value) not in allowed:
             raise ConfigError(f"{name} of a fault in the journal must be {allowed[-1].__name__}, got {value!r}")
@@ -235,30 +241,30 @@ class Journal:
         self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Start a new journal, whose scan 0 has the stamp `start_ns`; entries of the old one stay in the queue."""
+        """Start a new journal, whose scan 0 has the stamp `start_ns`; older entries not yet taken stay in the queue."""
         self._start_ns, self._sequence = start_ns, 0
 
     def add(self, sample: int, kind: InputKind, **members: Any) -> None:
-        """Append an entry that first acts on the scan `sample`; `members` are further ones of `JournalEntry`."""
+        """Append an entry that first acts on the scan `sample`; `members` are further attributes of `JournalEntry`."""
         stamp = stamp_ns(sample, self._rate_hz, self._start_ns)
         self._pending.append(JournalEntry(self._sequence, kind, sample, stamp, **members))
         self._sequence += 1
 
     def take(self) -> list[JournalEntry]:
-        """Return the entries since the last call, and drop them."""
+        """Return the entries added since the last call, and drop them from the queue."""
         pending, self._pending = self._pending, []
         return pending
 
 
 class JournalView:
-    """State of a rig according to its journal, entry by entry.
+    """State of a rig according to its journal, updated entry by entry.
 
-    The journal need not be complete: one received from its middle on gives a partial state.
+    The journal may be incomplete. If its beginning is missing, the state contains only what the received entries say.
 
     Attributes:
-        configuration: every value by full name; the default if no entry has changed it.
-        drive: the last commands, `frequency` [Hz] and `current` [A; m or V by `drive.kind`].
-        latched: the entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
+        configuration: every configuration value by full name; the default if no entry has changed it.
+        drive: the last commanded `frequency` [Hz] and `current` [A; m or V by `drive.kind`], if any since the start.
+        latched: the last entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
         plucked: whether the base is locked after a pluck, until the next reset.
         start_ns: stamp of scan 0; None if no start was received.
     """
@@ -271,7 +277,7 @@ class JournalView:
         self.plucked = False
 
     def follow(self, entry: JournalEntry) -> None:
-        """Update the state of the rig by the next entry of its journal."""
+        """Update this state by the next entry of the rig's journal."""
         if entry.kind in BEGINNINGS:
             self.start_ns, self.latched, self.plucked = entry.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}
@@ -287,25 +293,26 @@ class JournalView:
 
 
 def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
-    """Return the last journal in these entries, from its `start` or `reset` on, in order.
+    """Return the entries from the last `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there are no entries, or one is missing in any of the journals; the message has its number.
+        ConfigError: there are no entries, or an entry is missing, also before the last `start` or `reset`; the message
+            has the number of the missing entry.
     """
     found: list[JournalEntry] = []
     for entry in entries:
         if entry.kind in BEGINNINGS:
             found.clear()
         if entry.sequence != len(found):
-            raise ConfigError(f"incomplete journal: entry {len(found)} is missing (found {entry.sequence})")
+            raise ConfigError(f"incomplete journal: entry {len(found)} is missing (found {entry.sequence} instead)")
         found.append(entry)
     if not found:
-        raise ConfigError("the journal is empty")
+        raise ConfigError("the journal is empty: it must begin with an entry of kind start or reset")
     return found
 
 
 def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return those of these configuration values, by full name, that affect samples and so belong in a journal."""
+    """Return the part of `values`, by full name, that affects samples and so belongs in a journal."""
     return {
         name: value
         for name, value in values.items()
@@ -314,7 +321,7 @@ def deciding_samples(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def not_default(configuration: RigConfig) -> dict[str, Value]:
-    """Return the values of `configuration` that affect samples and differ from the default rig."""
+    """Return the values of `configuration`, by full name, that affect samples and differ from the default rig's."""
     return deciding_samples(differences(configuration))
 
 
@@ -325,7 +332,7 @@ LIMITS = frozenset({
     "shaker.travel_limit_m", "shaker.current_limit_a_rms", "shaker.frequency_min_hz", "shaker.frequency_max_hz",
     "shaker.ramp_s", "shaker.stop_ramp_s",
 })  # fmt: skip
-"""Values in the mechanics' sections that are in no equation of motion: changing them leaves the state unchanged."""
+"""Values in `MECHANICAL_SECTIONS` that are in no equation of motion: a change of them leaves the motion unchanged."""
 INSTRUMENT_SECTIONS = ("instruments.", "daq.")
 PLANNED = "instruments.faults.planned"
 AT_RESET = ("drive.", "daq.seed")  # values used at the beginning only
@@ -352,7 +359,8 @@ def takes_effect(name: str) -> str:
 def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
     """Return `config` with the seed and the planned faults of `present`.
 
-    So a change of the configuration leaves both as they are in running instruments, which use them only at a reset.
+    Running instruments use these two only at a reset and refuse a change, so a new configuration for them must keep
+    both.
     """
     return attrs.evolve(
         config,
@@ -363,17 +371,17 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class FaultChange:
-    """Change of the planned faults: lines that were removed, and lines that were added with their faults."""
+    """Change of the planned faults: `gone` are the removed lines, and `new` the added lines, each with its fault."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]
 
 
 class PlannedFaults:
-    """Numbers of the faults that lines of `instruments.faults.planned` have started, to end them with their line.
+    """Record of which fault each line of `instruments.faults.planned` has started, so that it ends with its line.
 
     Args:
-        lines: planned faults at the start or reset, which the instruments have numbered from 1.
+        lines: planned faults at the start or reset, which the instruments have numbered from 1 in this order.
         rate_hz: scans per second.
     """
 
@@ -384,11 +392,11 @@ class PlannedFaults:
             self._numbers[line].append(number)
 
     def replan(self, lines: Iterable[str], sample: int) -> FaultChange:
-        """Return the change from the present lines to these; nothing changes before `apply`.
+        """Return the change from the present lines to new ones; it takes effect only when `apply` is called.
 
         Args:
             lines: the new lines.
-            sample: the first scan they act on; the `start_s` of new lines count from there.
+            sample: number of the first scan on which added lines can act; their `start_s` count from there.
 
         Raises:
             ConfigError: an added line is not a valid fault, or starts too late to be represented.
@@ -402,9 +410,9 @@ class PlannedFaults:
         """Clear the faults of removed lines, then inject those of added lines.
 
         Args:
-            change: result of `replan`, with no other change in between.
-            clear: ends the fault of a number, which may have ended already.
-            inject: starts a fault and returns its number.
+            change: result of `replan`, since which no other change was applied.
+            clear: function that ends the fault with a given number, which may have ended already.
+            inject: function that starts a fault and returns its number.
         """
         for line in change.gone:
             clear(self._numbers[line].pop())
@@ -420,5 +428,5 @@ class PlannedFaults:
 
 
 def _written(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines with content, as `FaultPlan.faults` reads them."""
+    """Yield the lines that are not blank, which `FaultPlan.faults` reads."""
     return (line for line in lines if line.split())

@@ -13,11 +13,11 @@
 # limitations under the License.
 """Low-pass filter that reduces scans to the monitor rate, for the topics that plotters show.
 
-Scans at 10 kS/s shown at 50 Hz would alias every pulse, so readings first pass a low-pass: a windowed sinc (Kaiser,
-beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). It is eight monitor periods long and
-centred at the scan whose stamp the message has. So there is no phase error, and the message is four periods late. With
-f_m the monitor rate, the gain is within 0.5 % of 1 up to 0.2 f_m and below 0.4 % from 0.6 f_m on, so that nothing is
-aliased to below 0.4 f_m. The truth is never filtered.
+If scans at 10 kS/s were shown at 50 Hz as they are, every pulse would alias. So readings first pass a low-pass: a
+windowed sinc (Kaiser, beta 5; Oppenheim and Schafer, Discrete-Time Signal Processing, section 7.5). Its window is eight
+monitor periods long and centred at the scan whose stamp the message has. So there is no phase error, and the message is
+published four periods after its stamp. With f_m the monitor rate, the gain is within 0.5 % of 1 up to 0.2 f_m and below
+0.4 % from 0.6 f_m on, so that nothing is aliased to below 0.4 f_m. The truth is never filtered.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _BESSEL_TERMS = 20  # of I_0 up to BETA: the remainder is below rounding
 def taps(step: int) -> NDArray[np.float64]:
     """Return the weights of the low-pass filter for a monitor that shows every `step`-th scan.
 
-    Their sum is 1, and their shape (8 step + 1,), or (1,) for step 1.
+    Their sum is 1. Their shape is (8 step + 1,), or (1,) for step 1, which needs no filter.
     """
     if step == 1:
         return np.ones(1)
@@ -69,7 +69,7 @@ class Smoothed:
     Attributes:
         sample: index of the scan at this instant, since the start or reset.
         values: filtered reading by channel.
-        status: bit j is set if channel j was over range in a scan between the instants before and after.
+        status: bit j is set if channel j was over range in a scan between the previous and the next monitor instant.
     """
 
     sample: int
@@ -78,9 +78,9 @@ class Smoothed:
 
 
 class AntiAlias:
-    """Low-pass filter of a stream of scans, which gives readings at the monitor instants: every `step`-th scan.
+    """Low-pass filter of consecutive scans, which gives readings at the monitor instants: every `step`-th scan.
 
-    Each scan is weighted once, on arrival, for every instant whose window contains it; no scan is kept.
+    When a scan arrives, it is added to the weighted sum of every instant whose window contains it; no scan is kept.
 
     Args:
         channels: columns to filter.
@@ -100,8 +100,8 @@ class AntiAlias:
     def feed(self, first: int, rows: NDArray[np.void]) -> list[Smoothed]:
         """Filter a block of scans, and return the readings at the monitor instants whose windows it completes.
 
-        After a gap, as after a reset, a new stream begins. At the start of a stream the filter is truncated to the
-        scans that exist.
+        If the block does not continue the one before (scans are missing, or the rig was reset), the filter starts
+        again. A window that begins before the first scan since such a start is truncated to the scans that exist.
 
         Args:
             first: number of the block's first scan.
@@ -144,15 +144,15 @@ def _weigh(
 
     Args:
         rows: rows of scans as bytes.
-        layout: bytes per row, position of the status in it, and positions of the channels.
-        least: number of the first scan that may be an instant whose window is open.
+        layout: bytes per row, byte position of the status in a row, and byte positions of the channels.
+        least: number of the first scan whose window may still be incomplete; windows of earlier scans are ignored.
         first: number of the first scan of the block.
         step: scans per monitor period.
         weights: weights of a window's scans.
-        sums: for each window the sum of the weights, and the weighted readings by channel. Window k is in row k modulo
-            their number.
-        statuses: for each window the status bits of the scans between the instants before and after its own.
-        done: output for each window that ends: number of its scan, status, means by channel.
+        sums: for each window the sum of the weights used so far, and the weighted sums of the readings by channel.
+            Window k is in row k modulo the number of rows.
+        statuses: for each window the status bits of the scans between the previous and the next monitor instant.
+        done: output for each window that ends in the block: number of its scan, status, means by channel.
     """
     half = weights.shape[0] // 2
     end = first + rows.shape[0] // layout[0]

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Re-simulation of a rig from its journal: the proof that only the journal determined its samples."""
+"""Re-simulation of a rig from its journal; if all samples are the same, the journal contains all that decided them."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class Sent(NamedTuple):
     Attributes:
         stamp_ns: rig time of the first sample [ns].
         samples: samples [A, m or V by `drive.kind`], shape (n,).
-        received_ns: rig time at the end of the newest scans when the block was received [ns].
-        is_doubtful: whether a reset may have discarded the block; then it is used only for samples that no other block
-            contains.
+        received_ns: rig time at the end of the newest scans that had been received when the block was received [ns].
+        is_doubtful: whether a reset may have discarded the block. If so, the block is used only for samples that no
+            other block contains.
     """
 
     stamp_ns: int
@@ -54,10 +54,12 @@ class Sent(NamedTuple):
 
 
 def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -> Iterator[Block]:
-    """Yield the blocks of the rig that wrote this journal, from its last start or reset on, without end.
+    """Simulate the rig that wrote this journal again, and yield its blocks, without end.
+
+    The simulation begins at the last `start` or `reset`. After the last entry it continues without further inputs.
 
     Args:
-        journal: the entries of rig/journal, in order; the last `start` or `reset` begins.
+        journal: the entries of rig/journal, in order.
         waveform: messages of shaker/waveform, in order, if the drive is a stream.
 
     Raises:
@@ -69,13 +71,14 @@ def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -
 class RecordedSamples(Buffer):
     """Buffer of a stream that holds all samples of a recording.
 
-    Samples are active if they took effect in the recorded rig, by the BEGIN and END events of its journal.
+    It presents only those samples as buffered that took effect in the recorded rig. The BEGIN and END events of the
+    stream in the journal of that rig say which.
 
     Args:
         rig: re-simulated rig, driven by the stream.
         entries: entries of the recorded rig's journal after the first.
-        waveform: blocks of samples in the order of their receipt, doubtful ones first. Of a sample that arrived after
-            its time, only the first version is used.
+        waveform: blocks of samples in the order of their receipt, doubtful ones first. A version of a sample that
+            arrived after the time of the sample is ignored if an earlier block that is not doubtful contains it, too.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -121,8 +124,8 @@ class RecordedSamples(Buffer):
         lacking = numbers[wanted & ~held]
         if len(lacking) and (lacking[0] < len(self._recorded) or lacking[0] < self._switches[-1]):
             raise ConfigError(
-                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which was active "
-                f"{lacking[0] * self._sample_s:.6f} s after the start or reset"
+                f"the recording lacks sample {lacking[0]} of {topics.WAVEFORM.name}, which drove the rig "
+                f"{lacking[0] * self._sample_s:.6f} s after the start or reset according to the journal"
             )
         held &= wanted
         return held
@@ -135,7 +138,7 @@ class RecordedSamples(Buffer):
     def first_missing(self, first: int) -> int:
         """Return the number of the first sample from `first` on that did not take effect in the recorded rig.
 
-        If the journal ends while samples take effect, that is the first one after all recorded samples.
+        If the journal ends while samples take effect, it is the number after the last recorded sample.
         """
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2:
@@ -145,7 +148,7 @@ class RecordedSamples(Buffer):
     def first_there(self, first: int) -> int | None:
         """Return the number of the first sample from `first` on that took effect in the recorded rig, or None.
 
-        The journal's BEGIN and END events of the stream decide.
+        None means that according to the journal no more samples took effect.
         """
         at = int(np.searchsorted(self._switches, first, side="right"))
         if at % 2 == 0:
@@ -153,17 +156,17 @@ class RecordedSamples(Buffer):
         return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
-        """Do nothing: the recording keeps all samples, and the journal says which of them were active."""
+        """Do nothing: the recording keeps all samples, and the journal says which of them took effect."""
 
 
 class Resimulation:
-    """Re-simulated rig that wrote a journal; see `resimulate`.
+    """Simulation of the rig that wrote a journal, from the last `start` or `reset` in it; see `resimulate`.
 
     Attributes:
-        rig: the re-simulated rig, which may be ahead of the blocks taken from `blocks`.
-        blocks: iterator of the rig's blocks, without end.
-        calibrations: `daq/info` at the start, and each changed one that the rig has reached, oldest first.
-        configurations: the configuration at the start, and after each parameter change that the rig has reached.
+        rig: the re-simulated rig, which may have been simulated further than the blocks taken from `blocks`.
+        blocks: iterator of the rig's blocks, without end; taking blocks simulates the rig.
+        calibrations: tables of `daq/info`, oldest first: at the start, and after each change simulated so far.
+        configurations: the configuration at the start, and after each parameter change simulated so far.
     """
 
     def __init__(
@@ -179,7 +182,7 @@ class Resimulation:
             self.rig.stream.buffer = RecordedSamples(self.rig, inputs, waveform)
 
     def later_configurations(self) -> Iterator[RigConfig]:
-        """Yield the configuration after each change in the journal that the rig has not reached yet."""
+        """Yield the configuration after each parameter change in the journal that is not simulated yet, in order."""
         config = self.rig.config
         for entry in self._coming:
             if entry.kind is InputKind.PARAMETER:
@@ -187,9 +190,9 @@ class Resimulation:
                 yield config
 
     def finish(self, until_ns: int) -> None:
-        """Simulate and apply the journal up to `until_ns`, the time of a reset, so that no change is missed.
+        """Simulate until all entries of the journal up to the rig time `until_ns` [ns], that of a reset, are applied.
 
-        The blocks until there are dropped.
+        So `calibrations` and `configurations` contain all changes. The blocks up to there are dropped.
         """
         while self._coming and self._instant(self._coming[0]) <= until_ns:
             next(self.blocks)
@@ -210,9 +213,9 @@ class Resimulation:
                     self.calibrations.append(info)
 
     def _instant(self, change: JournalEntry) -> int:
-        """Return the rig time [ns] at which an input took effect: the start of the tick with the scan that it names.
+        """Return the rig time [ns] at which to apply a journal entry: the start of the tick with the entry's scan.
 
-        A fault was planned before that scan, so it may be planned at the start.
+        A fault is applied at the start already, because the rig then lets it act from the entry's scan on.
         """
         if change.kind is InputKind.FAULT:
             return self.rig.start_ns
@@ -220,10 +223,12 @@ class Resimulation:
 
 
 def apply(rig: Rig, change: JournalEntry) -> None:
-    """Apply the input of a journal entry to a rig at its frontier; skip entries that are results of the simulation.
+    """Apply the input of a journal entry to a rig at its frontier, the first time that is not yet simulated.
+
+    Entries that are results of the simulation, such as a trip, are skipped.
 
     Raises:
-        ConfigError: the entry does not fit, such as a second start.
+        ConfigError: the entry is not allowed here, such as a second `start`, or its values are invalid.
         CommandError: the rig rejects the input.
     """
     if change.kind is InputKind.PARAMETER:

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Truth of a rig, which its instruments do not show: states at scan instants, and contacts, until their block is cut.
 
-Instants are computed from integer ticks and a remainder, so nothing depends on the division into calls.
+Instants are computed from integer ticks and a remainder, so nothing depends on how many ticks are simulated per call.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _QUANTITIES = (TRUTH_SCAN.names or ())[1:]
 
 
 def monitor_step(rate_hz: int, monitor_hz: float) -> int:
-    """Return the least number of scans between two monitor instants with which `monitor_hz` is not exceeded."""
+    """Return the least number of scans per monitor instant that gives a monitor rate of at most `monitor_hz`."""
     return max(1, math.ceil(rate_hz / monitor_hz - 1e-9))
 
 
@@ -73,10 +73,10 @@ def state_rows(
     tick_s: float,
     rows: Reals,
 ) -> None:
-    """Fill in the true states at a selection of scans: each row has the number of the scan, and `query`'s q quantities.
+    """Fill `rows` with the true states at a selection of scans: the number of the scan, then the quantities of `query`.
 
-    The number becomes the time when the block is known. `rows` has the shape (n, 1 + q); `query` has room for n
-    instants. `tick_s` is the duration of a tick in seconds of motion.
+    `Truth.pop_states` later replaces the number by the time. `rows` has the shape (n, 1 + q) for q quantities, and
+    `query` has room for n instants. `tick_s` is the duration of a tick in the time of the motion [s].
     """
     seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
@@ -92,9 +92,10 @@ def state_rows(
 
 @entry(IMPACT, float, IMPACTS, REALS)
 def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Reals) -> None:
-    """Fill in `rows` of truth/impacts for the impacts `found` in a motion, and `ends`, their ends since scan 0 [s].
+    """Fill `rows` with the rows of truth/impacts for the impacts `found` in a motion, and `ends` with their ends.
 
-    A second of motion is `clock_per_motion` seconds of the scan clock; durations are in seconds of motion.
+    The times in `rows` and `ends` count from scan 0 in seconds of the scan clock, of which a second of motion has
+    `clock_per_motion`. The durations of the impacts are in seconds of motion.
     """
     for i in range(found.shape[0]):
         impact, row = found[i], rows[i]
@@ -110,9 +111,9 @@ class Truth:
 
     Args:
         rate_hz: scans per second.
-        monitor_hz: wanted rate of the monitor; every k-th scan is kept, with the smallest k that does not exceed the
-            rate.
-        every_scan: whether to keep the truth of every scan instead of the monitor instants only.
+        monitor_hz: wanted rate of the monitor topics; the state at every k-th scan is kept, with the smallest k that
+            does not exceed this rate.
+        every_scan: whether to keep the state at every scan instead.
     """
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
@@ -126,14 +127,18 @@ class Truth:
         """Choose the scans whose true states are kept, from the next tick on.
 
         Args:
-            monitor_hz: wanted rate of the monitor; every k-th scan is kept, with the least k that does not exceed it.
-            every_scan: whether to keep the truth of every scan instead.
+            monitor_hz: wanted rate of the monitor topics; the state at every k-th scan is kept, with the smallest k
+                that does not exceed this rate.
+            every_scan: whether to keep the state at every scan instead.
         """
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan
 
     def take(self, motion: Motion, tick_s: float) -> None:
-        """Keep the true states at the selected scans, and the contacts, of ticks with `tick_s` seconds of motion."""
+        """Keep the true states at the selected scans of a motion, and its contacts.
+
+        `tick_s` is the duration of a tick in the time of the motion [s]: 10 ms, scaled by the error of the scan clock.
+        """
         self._take_states(motion, tick_s)
         self._take_impacts(motion, tick_s)
 
@@ -164,8 +169,8 @@ class Truth:
         """Return and remove the kept true states of scans first … first + count − 1.
 
         Returns:
-            The states, with `time` since scan `first` [s]. The number of each one's scan, from 0 for scan `first`. A
-            mask, or `slice(None)` for all, of those that are instants of the monitor topics.
+            The states, with `time` since scan `first` [s]. For each state the number of its scan, from 0 for scan
+            `first`. A mask of the states that are at instants of the monitor topics, or `slice(None)` if all are.
         """
         if not self._states:
             return _NO_STATES, _NO_SCANS, _ALL

@@ -77,7 +77,9 @@ class KelvinVoigt(ContactLaw):
     returns = 0.350
     contact_time_s: float = contact_time_s()
     release: str = choice(
-        "position", ("position", "force"), "kelvin_voigt releases at zero indentation, or already at zero force."
+        "position",
+        ("position", "force"),
+        "End of a contact of kelvin_voigt: at zero indentation, or already at zero force.",
     )
 
     def force(self, pair: ContactPair) -> Force:

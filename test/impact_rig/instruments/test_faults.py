@@ -191,7 +191,7 @@ def test_a_fault_without_end_is_reported_as_such_and_can_be_cleared():
 def test_a_fault_cannot_be_injected_into_the_past():
     chain = Chain(configured(10_000))
     chain.acquire(MOTION, 0, 5)
-    with pytest.raises(CommandError, match="start_sample must be >= 500, the first scan not yet converted, got 499"):
+    with pytest.raises(CommandError, match=r"start_sample of a fault must be >= 500, the first .*, got 499"):
         chain.inject(Fault(kind="dropout", channel="laser", start_sample=499))
 
 

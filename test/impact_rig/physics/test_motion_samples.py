@@ -169,7 +169,7 @@ def test_instants_outside_the_motion_are_rejected():
     for wrong in (4, 10):
         with pytest.raises(ValueError, match=f"holds ticks 5 to 9, got {wrong} to {wrong}"):
             motion.quantity("x_1", np.array([wrong]), np.array([0.0]))
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="the same shape"):
         motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
 
 

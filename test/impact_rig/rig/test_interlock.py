@@ -59,13 +59,13 @@ def test_a_kind_of_drive_that_the_shaker_cannot_serve_is_rejected_when_it_is_set
         rig = Rig(paper_rig(drive__kind="prescribed", drive__amplitude=0.0))
         rig.configure(first)
         before = rig.config
-        with pytest.raises(ConfigError, match="structure and shaker must have modes"):
+        with pytest.raises(ConfigError, match="each mode of structure and shaker must have a rate"):
             rig.configure(then)
         assert rig.config == before
         rig.reset()
     rig = Rig(paper_rig(drive__kind="prescribed", drive__amplitude=0.0))
     rig.configure({"drive.kind": "voltage"})
-    with pytest.raises(ConfigError, match="structure and shaker must have modes"):
+    with pytest.raises(ConfigError, match="each mode of structure and shaker must have a rate"):
         rig.configure(stiff)
 
 

@@ -90,7 +90,7 @@ def test_a_fault_planned_ahead_hides_no_later_change_before_a_reset() -> None:
 
 def test_a_journal_with_a_missing_entry_is_rejected() -> None:
     _, journal, _ = eventful(config(), 1)
-    with pytest.raises(ConfigError, match=r"incomplete journal: entry 3 is missing \(found 4\)"):
+    with pytest.raises(ConfigError, match=r"incomplete journal: entry 3 is missing \(found 4 instead\)"):
         last_journal([*journal[:3], *journal[4:]])
     with pytest.raises(ConfigError, match="empty"):
         last_journal([])

@@ -179,7 +179,7 @@ def test_an_underrun_does_not_hide_a_trip_in_the_same_tick():
         (0, [0.1, np.nan], r"got nan in row 1, counted from 0"),
         (0, [np.inf], r"must be >= -21\.21 and <= 21\.21 A peak"),
         (0, [0.1] * 99 + [22.0], r"current must be >= -21\.21 and <= 21\.21 A .*, got 22 in row 99, counted from 0"),
-        (30_000, [0.1], r"3\.\d+ s ahead, beyond drive.stream_buffer_s = \d+ s: send"),
+        (30_000, [0.1], r"3\.\d+ s ahead of the rig, beyond drive.stream_buffer_s = \d+ s: send"),
         (0, [[0.1]], "shape"),
     ],
 )
@@ -280,7 +280,7 @@ def test_journal_and_samples_reproduce_the_run_bit_for_bit():
     again = [block for block, _ in zip(resimulate(journal, waveform=waveform), blocks, strict=False)]
     assert same(samples(again), samples(blocks))
     assert same(impacts(again), impacts(blocks))
-    with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which was active 1\.100000 s"):
+    with pytest.raises(ConfigError, match=r"lacks sample 11000 of shaker/waveform, which drove the rig 1\.100000 s"):
         for _ in zip(resimulate(journal, waveform=waveform[:-2]), blocks, strict=False):
             pass
 

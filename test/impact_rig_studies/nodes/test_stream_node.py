@@ -133,7 +133,7 @@ def test_a_stream_in_real_time_yields_the_bits_of_the_rig_in_process(client):
     ("harm", "says"),
     [
         (None, "identical: "),
-        ("removed", "lacks sample 2000 of shaker/waveform, which was active 0.200000 s after the start"),
+        ("removed", "lacks sample 2000 of shaker/waveform, which drove the rig 0.200000 s after the start"),
         (0.1, "daq/scan in the table at 0.240000000 s, row 89 (from 0), current: logged"),
         (1e-16, 'rig/journal: entry 2 at 1.000000000 s: logged "name": "crc32", "value": 0.0, "text": "10000 '),
     ],
