@@ -11,17 +11,20 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Comparison of a measurement with the model, which is driven by the measured drive and measured alike.
+"""Comparison of a measured run with the simulated model, which gets the same drive and the same analysis as the run.
 
-The measured current (or base) becomes the true one after correction of its sensor's lag and skew. It drives the
-mechanics through the stream drive, 10,000 samples a second joined by straight lines. The motion of the model replaces
-the measured scans, and the same analysis measures it at the same times. Both therefore differ by the constants, and by
-the errors of the sensors, which u states: that of DT, and the effect of an error of the drive's sensor on a motion with
-impacts, which depends on its size. Every stretch of scans without a gap and under one label is driven separately.
+The drive is the measured coil current or base motion, corrected for the lag and skew of its sensor. It is streamed to
+the model as 10,000 samples per second, joined by straight lines. The motion of the model replaces the measured scans,
+and the same analysis measures it at the same times. The results of run and model therefore differ only by the constants
+of the model and the errors of the sensors. The stated uncertainty u covers the errors of the sensors: the uncertainty
+of each DT, and the effect of a wrong gain of the drive's sensor. That effect exists only with impacts, where the motion
+is not proportional to the drive. The run is divided where scans are missing and where the label of the barriers' gap
+changes; each part is simulated separately.
 
-The drive before the first scan is unknown. If the structure moves steadily in the first cycles, the drive existed
-before: it is continued backwards as their sine, long enough for the structure to forget the start of the model.
-Otherwise the model begins at rest. Which of several motions the sphere takes is determined by the model.
+The drive before the first scan of a part is unknown. If the structure moves steadily in the first cycles, it was driven
+before: the sine of these cycles is continued backwards, long enough for the structure to forget the start of the model.
+Otherwise the model begins at rest. If several steady motions of the sphere are possible, the model may settle in
+another one than the rig.
 """
 
 from __future__ import annotations
@@ -56,14 +59,14 @@ from impact_rig_studies.identification.fit import Identified, identify, logarith
 from impact_rig_studies.identification.measurements import Gains, Measured, reduced_of, sine_of
 
 DRIVES = {"current": ("current", CURRENT), "base": ("prescribed", BASE)}
-"""Measured quantity that can drive the model -> its `drive.kind`, and the channel that measures the quantity."""
+"""Measured quantity that can drive the model -> `drive.kind` of the model, and index of the quantity's channel."""
 STREAM_HZ = 10_000
 BAND_HZ, BAND_SHARE = 300.0, 0.4
-"""Frequency [Hz], and share of the scan rate: the lower of the two is the upper edge of a measured drive's band.
+"""Upper edge of the frequency band of a corrected channel: `BAND_HZ` [Hz] or `BAND_SHARE` of the scan rate.
 
-What a sensor shows above it is noise.
+The lower of the two counts. Components above the edge are noise of the sensor and are removed.
 """
-FADE = 0.8  # fraction of the band at which its edge begins to fall
+FADE = 0.8  # fraction of the upper band edge from which components are attenuated, down to zero at the edge
 # lower band edge of the motion from velocities and accelerations, as a fraction of the drive frequency
 LOWEST_SHARE = 0.3
 # length of a record that is mirrored at both ends, so that the correction of a lag has no edge effects
@@ -71,11 +74,11 @@ MIRRORED_S = 0.5
 FORGOTTEN = 7.0  # time constants of the structure before the first scan: e⁻⁷ is 0.1 %
 LONGEST_LEAD_S, RISE_S = 120.0, 1.0
 FIRST_CYCLES, ALIKE = 4, 0.02
-"""Number of drive cycles at the start of a record, and the relative change of the structure's motion to the next ones.
+"""Number of drive cycles that are compared with as many following ones, and largest relative change of a steady motion.
 
-With a smaller change the motion counts as steady.
+The motion of the structure counts as steady from the first scan on if its phasor changes by at most this share.
 """
-SHORTEST = 4  # scans of a stretch through which a cubic can be drawn; in a shorter one the model rests
+SHORTEST = 4  # fewest scans of a stretch that a cubic spline can interpolate; a shorter stretch is not simulated
 TICKS_AT_ONCE = 50
 PER_TICK = STREAM_HZ * COMMAND_GRID_NS // NS_PER_S
 SCANS = 20_000_000  # limit for a compared run
@@ -83,22 +86,22 @@ SCANS = 20_000_000  # limit for a compared run
 
 @attrs.frozen
 class ComparedPoint:
-    """Measurement at one gap and frequency, and that of the model for the same drive."""
+    """Measured result at one gap and drive frequency, and the model's result for the same drive."""
 
     gap_m: float  # label, NaN if unknown
     frequency_hz: float  # of the drive
     measured: np.void  # row of `transmissibility/table`
-    model: np.void | None  # row of the model, likewise; None if it did not settle
+    model: np.void | None  # such a row of the model; None if the model did not settle
     more: np.void | None
-    """Row of the model with a drive larger by one standard uncertainty of the gain of the drive's sensor.
+    """Row of the model when the drive is larger by one standard uncertainty of the gain of the drive's sensor.
 
-    None without sphere, where the motion is proportional to the drive.
+    None if the model did not settle with this drive, or without the sphere, where DT does not depend on the drive.
     """
 
     def off(self, column: str) -> float:
-        """Return measured minus model of the column `transmissibility` or `phase`, in standard uncertainties.
+        """Return measured minus model of the column `transmissibility` or `phase`, divided by its uncertainty.
 
-        The uncertainty is that of the difference. The result is NaN if the model did not settle.
+        The divisor is the standard uncertainty of the difference. The result is NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan
@@ -108,27 +111,27 @@ class ComparedPoint:
 
 
 def _less(one: np.void, other: np.void, column: str) -> float:
-    """Return `one` minus `other` in a column; a difference of phases is brought into −π … π."""
+    """Return a column of the row `one` minus that of the row `other`; phases are wrapped into −π … π [rad]."""
     difference = float(one[column] - other[column])
     return math.remainder(difference, 2.0 * math.pi) if column == "phase" else difference
 
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """Result of `compare`: a measured run, and the model with the same drive."""
+    """Result of `compare`: DT and motion of a measured run, and those of the model with the same drive."""
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # configuration of the model
-    places: tuple[ComparedPoint, ...]  # ascending by gap and frequency
-    excerpt: Excerpt  # the last settled measurement; laser, base and current of its scans are corrected for lag
-    model: NDArray[np.void]  # scans of the model at the times of the excerpt, same shape
+    places: tuple[ComparedPoint, ...]  # results at each gap and frequency, ascending by gap, then frequency
+    excerpt: Excerpt  # scans of the last settled measurement; laser, base and current are corrected for lag and skew
+    model: NDArray[np.void]  # scans of the model at the times of the excerpt, shape of `excerpt.rows`
     constants: Identified | None
-    """Constants of the rig that fit these measurements best; None if no fit was requested, or `missing` prevents it."""
-    missing: tuple[str, ...] = ()  # measurements that a requested fit needs and the run does not have
+    """Constants of the rig that fit these measurements best; None if no fit was requested or something is `missing`."""
+    missing: tuple[str, ...] = ()  # what a requested fit needs and the run lacks, such as "a measured current"
 
     @property
     def residual(self) -> Real:
-        """Measured motion of the structure minus the model's, both about their means, at the excerpt's scans [m]."""
+        """Measured motion of the structure minus the model's at each scan of the excerpt [m], each without its mean."""
         measured, model = (samples_of(rows, "laser") for rows in (self.excerpt.rows, self.model))
         return np.asarray((measured - measured.mean()) - (model - model.mean()))
 
@@ -141,17 +144,18 @@ def compare(
     fits: bool = True,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Measure a run, drive a model by the run's measured current or base motion, and measure the model alike.
+    """Analyse a run, simulate the model with the run's measured drive, and analyse the model in the same way.
 
     Args:
         run: an open run, recorded or imported.
-        known: the model; None means the configuration stored in the run, or the default rig.
-        driven_by: key of `DRIVES`; None means the current if it was measured, else the base.
-        fits: whether to search for the constants that fit best.
+        known: configuration of the model; None means the one stored in the run, or the default rig if there is none.
+        driven_by: measured quantity that drives the model, a key of `DRIVES`; None means the current if it was
+            measured, else the base.
+        fits: whether to search for the constants with which the model fits best.
         on_step: receives a description of each step before it begins.
 
     Raises:
-        ConfigError: the model rejects the values, or the drive was not measured.
+        ConfigError: the drive was not measured, or a gap or value of the configuration is invalid for the model.
         RecordingError: no measurement settled, or a reading is not finite.
         BudgetError: the run has more than `SCANS` scans.
         SimulationError: the model's motion cannot be resolved.
@@ -171,7 +175,10 @@ def compare(
     found = list(reanalysis.analyze(run))
     measured = reanalysis.newest_settled(reanalysis.measurements(iter(found)))
     if not len(measured):
-        raise RecordingError(f"{run.path}: no measurement of DT settled, so there is nothing to compare")
+        raise RecordingError(
+            f"{run.path}: no measurement of DT settled, so there is nothing to compare; "
+            "`impact-rig analyze --all` shows the status of each measurement"
+        )
     scans = _ModelledScans(run, calibration)
 
     def modelled(gain: float) -> NDArray[np.void]:
@@ -206,7 +213,7 @@ def compare(
 
 
 def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
-    """Return the row of `rows` with the gap and frequency of `row`; None if there is none."""
+    """Return the row of `rows` with the same gap (or none) and frequency as `row`; None if there is no such row."""
     same = (rows["frequency"] == row["frequency"]) & (
         (rows["gap"] == row["gap"]) | (np.isnan(rows["gap"]) & np.isnan(row["gap"]))
     )
@@ -215,9 +222,9 @@ def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
 
 @attrs.frozen
 class _Stretch:
-    """Consecutive scans first … last − 1 of a run, with none missing and one label of the barriers' gap.
+    """Scans first … last − 1 of a run: none is missing between them, and all have the same label of the barriers' gap.
 
-    The gap is in m, NaN if unknown; `drive_hz` is the drive frequency at the first scan, 0 if unknown.
+    `gap_m` is that label, NaN if unknown. `drive_hz` is the drive frequency at the first scan, 0 if unknown.
     """
 
     first: int
@@ -227,7 +234,10 @@ class _Stretch:
 
 
 class _ModelledScans:
-    """Scans of a run with the lags of the sensors corrected (`true`), and the model's at the same times (`model`)."""
+    """All scans of a run, corrected for the lag and skew of the sensors (`true`), and the scans of the model (`model`).
+
+    Both have the same times. `model` is zero until each stretch has been simulated.
+    """
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
         tables = list(run.tables(topics.SCAN.name, recorded_order=True))
@@ -249,7 +259,7 @@ class _ModelledScans:
                 part = self.true[CHANNELS[channel]][stretch.first : stretch.last]
                 part[:] = undone(part, calibration, channel, stretch.drive_hz)
         self.model = np.zeros(len(measured), SCAN)
-        self.begin = 0  # first of the scans that the analysis receives next
+        self.begin = 0  # index of the first scan in the table that `instead` replaces next
 
     def _stretches(self, run: Run) -> Iterator[_Stretch]:
         labels = sorted(reanalysis.as_set_live(run)[1], key=lambda label: label.stamp_ns)
@@ -264,10 +274,10 @@ class _ModelledScans:
             yield _Stretch(first, last, gap, drive)
 
     def instead(self, topic: topics.Topic, table: Table) -> Table:
-        """Return the table that the analysis must use instead of a measured one, so that it measures the model.
+        """Return the table that replaces a measured one in the analysis, so that the model is measured.
 
-        For `daq/info` it is a calibration without any error, for `daq/scan` the model's scans at the same times. Scans
-        must be requested in the order of the run.
+        A table of `daq/info` is replaced by a calibration without any error, a table of `daq/scan` by the model's scans
+        at the same times. The tables of `daq/scan` must be passed in the order of the run.
         """
         if topic is topics.INFO:
             rows = table.rows.copy()
@@ -285,7 +295,10 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return the slice of the run's scans that an excerpt consists of."""
+        """Return the slice of `true` and `model` with the scans of an excerpt, and fill their column `time`.
+
+        The time is in seconds since the first scan of the run.
+        """
         # the time of an excerpt counts from the first scan, or from the first after the last reset
         offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
         first = int(np.searchsorted(offsets, round(float(excerpt.rows["time"][0]) * self.rate_hz)))
@@ -294,17 +307,17 @@ class _ModelledScans:
 
 
 def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float) -> Real:
-    """Return the quantity that a channel measured: readings corrected for the lag and skew of the sensor, shape (n,).
+    """Return the true quantity behind a channel's readings, without the lag and skew of the sensor; shape (n,).
 
-    Noise above the band (`BAND_HZ`, `BAND_SHARE`) is removed. Velocities and accelerations are integrated to
-    displacements [m].
+    Components above the band (`BAND_HZ`, `BAND_SHARE`) are removed as noise. Velocities and accelerations are
+    integrated to displacements [m].
 
     Args:
         values: contiguous readings, shape (n,).
         calibration: calibration of the instruments.
         channel: index of the channel in `scans.CHANNELS`.
-        drive_hz: frequency of the drive, 0 if unknown; readings are integrated above a fraction of it, as lower
-            frequencies are drift.
+        drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, components below `LOWEST_SHARE`
+            of it are removed as drift.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
@@ -329,9 +342,9 @@ def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float
 
 
 def _continued(values: Real, turns: float, count: int) -> Real:
-    """Return `count` values that continue `values` by the sine of the last cycles; `turns` is cycles per sample.
+    """Return `count` values that continue `values` by the sine fitted to their last `FIRST_CYCLES` cycles.
 
-    They are zero if `turns` is 0, for an unknown drive.
+    `turns` is the drive frequency in cycles per sample; 0 means unknown, and the result is then zero.
     """
     if not turns > 0.0:
         return np.zeros(count)
@@ -342,9 +355,9 @@ def _continued(values: Real, turns: float, count: int) -> Real:
 
 
 def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: str, channel: int, gain: float) -> None:
-    """Simulate one stretch of the run with the measured drive times `gain`, and store the scans in `scans.model`.
+    """Simulate one stretch of the run with the measured drive times `gain`, and store its scans in `scans.model`.
 
-    A stretch too short for an interpolation keeps the scans of a model at rest.
+    A stretch of fewer than `SHORTEST` scans is not simulated: its scans stay zero, as of a model at rest.
     """
     rate, own = scans.rate_hz, slice(stretch.first, stretch.last)
     measured = gain * scans.true[CHANNELS[channel]][own]
@@ -382,7 +395,7 @@ def _drive(scans: _ModelledScans, stretch: _Stretch, config: RigConfig, kind: st
 
 
 def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
-    """Return the model's configuration with the gap of a label (NaN: its own) and a drive by streamed samples."""
+    """Return `config` with a drive `kind` by streamed samples, and with the gap `gap_m` unless that is NaN."""
     changes: dict[str, object] = {
         "drive.kind": kind,
         "drive.waveform": "stream",
@@ -396,10 +409,10 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
 
 
 def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
-    """Return the unknown drive before the first scan at the times `time_s` (< 0 [s]).
+    """Return an assumed drive before the first scan, at the times `time_s` relative to that scan (< 0 [s]).
 
-    If the structure moves steadily from the first scan on, it is the sine of the first cycles, rising from zero;
-    otherwise it is zero.
+    If `structure`, the measured motion, is steady from the first scan on, the drive is the sine of the first cycles of
+    `measured`, rising from zero. Otherwise it is zero.
     """
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):
@@ -414,12 +427,12 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap [m] of each measurement; a measurement without a label has that of the model."""
+    """Return the gap [m] of each measurement, or the gap of the model for a measurement without a label."""
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
 
 def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
-    """Return the measurements that the fit needs and the run does not have."""
+    """Return what the fit of the constants needs and these measurements lack, as texts for the user."""
     free = _gaps(rows, known) == NO_SPHERE
     has_current = np.any(rows["current_amplitude"][free if free.any() else slice(None)] > 0.0)
     needs = {"DT without the sphere": free.any(), "a measured current": has_current}
@@ -427,7 +440,10 @@ def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
 
 
 def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
-    """Fit the constants of the rig to DT without sphere and to the reductions at the frequency with the most gaps."""
+    """Fit the constants of the rig to DT without the sphere, and to the sphere's reductions of DT at one frequency.
+
+    This is the frequency at which the most gaps were measured. Rows without a measured current are left out.
+    """
     points = [
         Point(
             study="compare", axes={}, reference=True, frequency_hz=float(row["frequency"]),
@@ -450,14 +466,15 @@ def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: 
     )
 
 
-TRACED_CYCLES = 6
+TRACED_CYCLES = 6  # number of drive cycles whose motion is drawn
 
 
 @style()
 def drawn(found: Comparison, name: str) -> Drawn:
-    """Draw a comparison: deviations in standard uncertainties, motion of the last cycles, and its spectrum.
+    """Draw a comparison in three panels; `name` is the run's name in the title.
 
-    `name` is the run's name in the title.
+    The panels show measured minus model in standard uncertainties, the motion of the structure in the last cycles, and
+    the spectra of this motion and of its difference from the model.
     """
     figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
     rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz

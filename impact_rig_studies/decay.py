@@ -11,20 +11,23 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Free decay → natural frequency f_n and damping ratio ζ, by logarithmic decrement or a fit; drop test → restitution.
+"""Natural frequency f_n and damping ratio ζ from a free decay; coefficient of restitution e from a drop test.
+
+A free decay is evaluated by a least-squares fit or by the logarithmic decrement:
 
     y(t) = C + D t + e^{−λt} (A cos ω_d t + B sin ω_d t),   λ = ζω_n,   ω_d = ω_n √(1 − ζ²)
     ω_n = √(ω_d² + λ²),   ζ = λ/ω_n;      decrement per cycle δ = 2πλ/ω_d,   ζ = δ/√(4π² + δ²)
 
-Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. Its curve does: a gain
-that changes by κ (a/a_0)² with the amplitude a bends the envelope, and changes ζ by κ/2 or more (`bent`). Therefore
-u(f_n) consists of noise (density near ω_d, as in `sine`) and clock, u(ζ) of noise and curve.
+Gain, offset, skew and lag of the sensor scale and shift the decay without changing either value. A curved
+characteristic of the sensor does change ζ: a gain that depends on the amplitude a as 1 + κ (a/a_0)² bends the envelope,
+and changes ζ by κ/2 or more, relatively (`bent`). Therefore u(f_n) contains the noise (its density near ω_d, as in
+`analysis.sine`) and the error of the clock; u(ζ) contains the noise and the curved characteristic.
 
-A record in which the accelerometer shows impacts has no ζ: the sphere takes energy as long as it strikes. Nor does a
-record whose halves decay at different rates. Both are rejected.
+A record in which the accelerometer shows impacts gives no ζ, because the sphere takes energy as long as it strikes. A
+record whose two halves decay at different rates gives none either. `measure_decay` returns a status for both.
 
-A sphere dropped from H0 on the fixed barrier rebounds to H1. The operator notes the heights as a remark on `notes`,
-`drop h0_m=0.2 h1_m=0.0245`:
+A sphere dropped from the height H0 onto the fixed barrier rebounds to H1. The operator notes both heights as a remark
+on the topic `notes`, like `drop h0_m=0.2 h1_m=0.0245`:
 
     e = √(H1/H0),   (u(e)/e)² = ¼ [(u(H1)/H1)² + (u(H0)/H0)²]
 """
@@ -48,12 +51,12 @@ from impact_rig.states import Status
 
 MIN_CYCLES = 4
 MIN_POINTS = 32
-MIN_SAMPLES_FOR_HARMONICS = 20  # scans per cycle from which the second and third harmonic are fitted as well
-MIN_SAMPLES_PER_CYCLE = 5  # number of columns of a cycle's fit without harmonics
-LINE_FACTOR = 20.0  # factor by which a line exceeds the largest expected noise line to count as a vibration
-SIGNAL_FACTOR = 10.0  # amplitude of a cycle, in standard uncertainties, from which its logarithm is used
+MIN_SAMPLES_FOR_HARMONICS = 20  # fewest scans per cycle with which the second and third harmonic are fitted as well
+MIN_SAMPLES_PER_CYCLE = 5  # number of unknowns in the fit of one cycle without harmonics
+LINE_FACTOR = 20.0  # factor by which a spectral line must exceed the largest expected noise line to be a vibration
+SIGNAL_FACTOR = 10.0  # smallest amplitude of a cycle, in standard uncertainties, whose logarithm is used
 DIFFERENT = 6.0
-"""Difference of the decay rates of a record's two halves, in standard uncertainties, above which it is rejected."""
+"""Largest accepted difference of the decay rates of a record's two halves, in standard uncertainties."""
 ITERATIONS = 50
 CONVERGED = 1e-10
 REASONS = {
@@ -61,7 +64,7 @@ REASONS = {
     "(sphere.present: false) or with amplitudes at which it strikes no wall",
     Status.NOT_EXPONENTIAL: "the two halves of the record decay at different rates, so one ζ does not describe it",
 }
-"""Explanation why a free decay has no f_n and ζ, by status, for messages."""
+"""Status of a free decay without f_n and ζ -> explanation for messages."""
 
 
 @attrs.frozen(kw_only=True)
@@ -81,10 +84,10 @@ class Decay:
 
 
 class DecayMethod(Protocol):
-    """Function that computes f_n and ζ from a recorded free decay: `fit_decay` or `log_decrement`."""
+    """Interface of `fit_decay` and `log_decrement`, functions that compute f_n and ζ from a recorded free decay."""
 
     def __call__(self, y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
-        """Return natural frequency f_n and damping ratio ζ of a freely decaying displacement.
+        """Return natural frequency f_n and damping ratio ζ of a freely decaying displacement, or why there are none.
 
         Args:
             y: samples of the displacement, shape (n,).
@@ -131,9 +134,17 @@ def measure_decay(
 
 
 def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
-    """Return whether both halves of a record decay at one rate, which an exponential decay must.
+    """Return whether both halves of a record decay at the same rate, as an exponential decay does.
 
-    A difference within the scatter of the cycles, or by the curved characteristic of the sensor (`bend`), is tolerated.
+    A difference up to `DIFFERENT` standard uncertainties counts as the same rate. The uncertainty comes from the
+    scatter of the cycles and the curved characteristic of the sensor. With too few cycles to decide, the result is
+    true.
+
+    Args:
+        y: samples of the displacement, shape (n,).
+        rate_hz: samples per second.
+        omega: angular frequency of the decay [rad/s].
+        bend: relative standard uncertainty of the amplitude due to the curved characteristic.
     """
     phasors, middles, noise = _cycle_phasors(y, rate_hz, omega)
     half = _strong(phasors, noise) // 2
@@ -204,10 +215,11 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
 
 def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
-    """Return f_n and ζ from the amplitudes of successive cycles: slope of their logarithm and of their phase.
+    """Return f_n and ζ of a free decay from the amplitudes and phases of its successive cycles.
 
-    A fit over each cycle gives its amplitude and phase. Both lines are weighted with the squared amplitudes, and the
-    uncertainties come from the scatter about them. The arguments are those of `DecayMethod`.
+    A fit over each cycle gives its amplitude and phase. Straight lines over the time are fitted to the logarithm of the
+    amplitude, whose slope gives ζ, and to the phase, whose slope gives f_n. Both are weighted with the squared
+    amplitudes, and the uncertainties come from the scatter about the lines. The arguments are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -237,7 +249,7 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
 
 def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
-    """Return first guesses of ω_d [rad/s] and λ [1/s] of a decay, or the status that tells why it cannot be fitted."""
+    """Return initial values of ω_d [rad/s] and λ [1/s] for the fit of a decay, or a status if it cannot be fitted."""
     if not np.all(np.isfinite(y)):
         return Status.NOT_FINITE
     if len(y) < MIN_POINTS:
@@ -265,9 +277,10 @@ def _start(y: Real, rate_hz: float) -> tuple[float, float] | Status:
 
 
 def _strong(phasors: Complex, noise: float) -> int:
-    """Return the number of cycles before the first whose amplitude is below `SIGNAL_FACTOR` times `noise`.
+    """Return the number of leading cycles whose amplitude is at least `SIGNAL_FACTOR` times `noise`.
 
-    `noise` is the standard uncertainty of an amplitude; later cycles are too uncertain for a logarithm.
+    `noise` is the standard uncertainty of an amplitude. Cycles from the first weaker one on are too uncertain for a
+    logarithm.
     """
     weak = np.flatnonzero(np.abs(phasors) < SIGNAL_FACTOR * noise)
     return int(weak[0]) if len(weak) else len(phasors)
@@ -355,7 +368,7 @@ _PATTERN = re.compile(rf"\s*drop\s+h0_m\s*=\s*(?P<h0>{_NUMBER})\s+h1_m\s*=\s*(?P
 
 @attrs.frozen
 class DropHeights:
-    """Heights of one drop [m]: at the release and after the rebound."""
+    """Heights of one drop above the barrier [m]: `h0_m` at the release, `h1_m` after the rebound."""
 
     h0_m: float
     h1_m: float
@@ -404,10 +417,12 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
         uncertainties.
 
     Raises:
-        ValueError: there are no heights, or not as many of both.
+        ValueError: the arrays of heights are empty, not one-dimensional, or of different length.
     """
     if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
-        raise ValueError(f"h0_m and h1_m must be one-dimensional and of equal length, got {h0_m.shape}, {h1_m.shape}")
+        raise ValueError(
+            f"h0_m and h1_m must be one-dimensional, not empty and of equal length, got {h0_m.shape} and {h1_m.shape}"
+        )
     if not (np.all(np.isfinite(h0_m)) and np.all(np.isfinite(h1_m)) and math.isfinite(u_h0_m + u_h1_m)):
         return DropTest(status=Status.NOT_FINITE)
     higher = h1_m - h0_m > 3.0 * math.hypot(u_h0_m, u_h1_m)

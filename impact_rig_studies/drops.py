@@ -25,14 +25,14 @@ from impact_rig_studies.decay import DropHeights, DropTest, parse_drop, restitut
 
 
 def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
-    """Return the drops that remarks of a run state, and the coefficient of restitution from their heights.
+    """Return the drops noted in the remarks of a run, and the mean coefficient of restitution from their heights.
 
     Args:
         run: an open run.
         u_m: standard uncertainty of each height [m].
 
     Raises:
-        RecordingError: no remark is a drop (the message shows an example), or they give no restitution.
+        RecordingError: no remark states a drop (the message shows an example), or the heights give no restitution.
     """
     drops = [drop for drop in map(parse_drop, remarks(run)) if drop is not None]
     if not drops:

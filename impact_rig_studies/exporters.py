@@ -31,7 +31,10 @@ from impact_rig_studies.maps import run as maps
 POINTS = "points"
 Columns = dict[str, NDArray[np.generic]]
 Tables = Mapping[str, Callable[[str], Columns]]
-"""Name of a table -> function that returns the table's columns for the suffix of the file to write, such as `.csv`."""
+"""Name of a table -> function that reads the table and returns its columns by name.
+
+The function receives the suffix of the file to write, such as `.csv`.
+"""
 
 
 def map_points(directory: Path) -> Tables | None:
@@ -77,11 +80,15 @@ def campaign_points(directory: Path) -> Tables | None:
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
     """Return the settled points as columns for a universal file: X_1/X_b over the frequency.
 
-    The column `curve` names the function to which a point belongs: one per study, gap, direction, current and axes.
+    The column `curve` names the curve to which a point belongs: one curve per study, gap, direction, current and values
+    of the other axes.
     """
     settled = [point for point in points if point.settled]
     if not settled:
-        raise RecordingError("no point of this campaign has a settled measurement, so there is no curve to export")
+        raise RecordingError(
+            "no point of this campaign has a settled measurement, so there is no curve to export; "
+            "points.csv lists the status of each point"
+        )
     one_current = len({point.current_a for point in points}) == 1
     return {
         "frequency": np.array([point.frequency_hz for point in settled]),

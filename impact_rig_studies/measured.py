@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Conversion of imported runs into a campaign: a point for each gap and frequency that settled, and the calibration."""
+"""Conversion of imported runs into a campaign: one point per settled gap and frequency, and the calibration."""
 
 from __future__ import annotations
 
@@ -46,18 +46,20 @@ from impact_rig_studies.campaign.run import (
 from impact_rig_studies.importing.store import estimated
 
 STUDY = "measured"
-# values of two files that differ by less are equal: each was measured, or typed with other digits
+# largest difference of equal frequencies and gaps: in each file they were measured or typed with other digits
 SAME_HZ, SAME_M = 0.002, 1e-9
-SAME_RATE = 1e-3  # relative difference of two rates, found from times of few digits, that counts as none
+SAME_RATE = 1e-3  # largest relative difference of equal scan rates that were estimated from times of few digits
 STATED = tuple(name for name in DAQ_INFO.names or () if name not in ("name", "since_start"))
-SHOWN = 3  # largest number of points in the message that no point settled
+"""Columns of `daq/info` that must be the same in all runs of a campaign."""
+SHOWN = 3  # largest number of points listed in the message that no point settled
 
 
 def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = None) -> tuple[Finished, list[str]]:
-    """Combine runs into one campaign; return it, and a line for each point that never settled and is left out.
+    """Write a campaign from imported runs; return it, and a line of text for each point left out as it never settled.
 
     Properties of the instruments that a certificate, a mapping or an option states must be the same in all runs.
-    Properties that the import estimated from the data may differ: the campaign keeps the coarsest resolution.
+    Properties that the import estimated from the data may differ: the campaign then has the first run's value, and of
+    several resolutions the coarsest. If the same run measured a point several times, its last measurement counts.
 
     Args:
         runs: imported runs of one rig, with the same instruments.
@@ -65,7 +67,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         config: known properties of the rig (sphere, contact law); None means the default rig.
 
     Raises:
-        ConfigError: a gap is unknown, two runs measured one point, or nothing was measured.
+        ConfigError: a gap is unknown, two runs measured the same point, or no run has a settled measurement.
         RecordingError: the directory cannot be written, or the calibrations of the runs differ.
     """
     found: dict[tuple[float, float], tuple[Path, NDArray[np.void]]] = {}
@@ -122,9 +124,9 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
 
 
 def _unsettled(rows: NDArray[np.void]) -> list[str]:
-    """Return a text with gap, frequency and last status for each point without a settled measurement.
+    """Return a text with gap, frequency and last status for each point of `rows` without a settled measurement.
 
-    Without any rows, the only text is "nothing was measured".
+    If `rows` is empty, the only text is "nothing was measured".
     """
     points = [case_of(gap) + (f" at {hz:.4g} Hz" if hz > 0.0 else "") for gap, hz in rows[["gap", "frequency"]]]
     settled = {point for point, row in zip(points, rows, strict=True) if row["settled"] == 1.0}
@@ -134,7 +136,10 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 
 
 def _known(value: float, known: set[float], same: float) -> float:
-    """Return the element of `known` within `same` of `value`, or else `value`, rounded a little finer than `same`."""
+    """Return the smallest of `known` that differs from `value` by at most `same`; if there is none, `value` rounded.
+
+    `value` is rounded to the first power of ten that is not larger than `same`.
+    """
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))
 
@@ -145,13 +150,15 @@ class _Sensors:
 
     name: str  # of the first run, for messages
     info: NDArray[np.void]  # rows of `daq/info`
-    estimated: dict[str, tuple[str, ...]]  # columns that are known only from the data, by channel
+    estimated: dict[str, tuple[str, ...]]  # columns whose values the import estimated from the data, by channel
 
     def joined(self, other: _Sensors) -> _Sensors:
-        """Return the common calibration of these runs and another one.
+        """Return the common calibration of these runs and of a further one, `other`.
+
+        A stated value replaces an estimated one. Of two estimated values the first counts, or the coarser resolution.
 
         Raises:
-            RecordingError: a stated property differs; the message names channel, column and both values.
+            RecordingError: the channels or a stated property differ; the message names channel, column and both values.
         """
         channels, others = (one.info["name"].astype(str).tolist() for one in (self, other))
         if channels != others:
@@ -176,7 +183,7 @@ class _Sensors:
     def _differs(self, other: _Sensors, what: str, value: str, first: str) -> RecordingError:
         return RecordingError(
             f"{other.name}: {what} is {value}, but {first} in {self.name}: all runs of a campaign must have the same "
-            "instruments, so import the others into a campaign of their own"
+            f"instruments, so import {other.name} into a campaign of its own"
         )
 
 

@@ -13,30 +13,34 @@
 # limitations under the License.
 """Theory of the rig without simulation: closed forms without impacts, and two symmetric impacts per cycle.
 
-**Two symmetric impacts per cycle**: DT, phase, impacts, and where they end. The sphere's force N x_1 of the slow
-invariant manifold (below) depends on Θ and ω alone, neither on gap nor on amplitude. Put into the rig's own linear
-model (s = iω, K = k_1 + c_1 s, Z = (m_a + m_b) s² + c_f s + k_f),
+**Two symmetric impacts per cycle**: DT, phase, impacts, and the limits of such motions. Θ is the amplitude of the
+sphere over half the gap. The sphere acts on the structure with the force N x_1. N follows from the slow invariant
+manifold (below) and depends on Θ and ω alone, neither on the gap nor on the amplitude. With this force in the rig's
+linear model (s = iω, K = k_1 + c_1 s, Z = (m_a + m_b) s² + c_f s + k_f),
 
     T = X_1/X_b = K / (K + m_1 s² − N),      X_b = K_f I / (Z + K (1 − T)),      g = 2 |X_1| / ξ(Θ)
 
-every Θ gives one motion in closed form, whatever is held constant: a branch over the gap is drawn by running through
-Θ. At a given gap Θ is the root of one equation of one unknown. On the backbone (T at −90°) frequency and DT depend on
-Θ alone: ω² M k_1 − ω² c_1 (c_1 + c_N) = k_1² with M = m_1 + the added mass and c_N the added damping.
+every Θ gives one motion in closed form, for a constant current, base amplitude or superior amplitude. A branch over the
+gap results from a range of values of Θ. At a given gap, Θ is the root of one equation with one unknown. On the backbone
+(T at −90°) frequency and DT depend on Θ alone: ω² M k_1 − ω² c_1 (c_1 + c_N) = k_1² with M = m_1 + the added mass and
+c_N the added damping.
 
-A motion is `stable` if all multipliers of rig and sphere together lie within the unit circle: half a cycle of flight,
-and the saltation matrix of the impact that ends it. What they lose it through has a name: fold, symmetry breaking, or
-torus. Where the superior base or the phase is held, a controller sees to the structure, and only the sphere must keep
-its rhythm (`Manifold.stable`).
+A motion is `stable` if all Floquet multipliers of rig and sphere together lie within the unit circle. They belong to
+half a cycle: the flight, and the impact that ends it (its saltation matrix). The way in which a motion loses its
+stability is named: fold, symmetry breaking, or torus. If the amplitude of the superior base or the phase is held
+constant, a controller stabilises the structure, and only the motion of the sphere can become unstable
+(`Manifold.stable`).
 
 The theory is valid for one sphere between walls without friction of the guide, symmetric motion with two impacts per
-cycle, m ≪ m_1, and contacts short against the cycle. The first order of m/m_1 is included unless `recoil` is false. e
-is the realised restitution of the contact law, not its nominal value. docs/explanation/prediction.md has the derivation
-and a comparison with simulation.
+cycle, m ≪ m_1, and contacts much shorter than the cycle. The first order of m/m_1 is included unless `recoil` is false.
+e is the realised restitution of the contact law, not its nominal value. docs/explanation/prediction.md has the
+derivation and a comparison with simulation.
 
 **The slow invariant manifold** of a vibro-impact energy sink: two symmetric impacts per cycle, without any structure.
-A sphere of mass m between two walls b = g/2 from the middle of what moves as x_1 = A cos(ωt + α). Let it strike one
-wall every half cycle. Between impacts it flies freely, so it moves as a triangle of amplitude P whose corners are the
-impacts. With ξ = A/b and Θ = P/b, at the right wall (t = 0, speed V = 2ωP/π before, −V after):
+A sphere of mass m moves between two walls, each b = g/2 from the middle of a structure that moves as
+x_1 = A cos(ωt + α). It strikes one wall every half cycle. Between impacts it flies freely, so its motion over the time
+is a triangle of amplitude P whose corners are the impacts. With ξ = A/b and Θ = P/b, at the right wall (t = 0, speed
+V = 2ωP/π before, −V after):
 
     position    P = A cos α + b                                        A cos α = b (Θ − 1)
     impact      V + v_1 = e (V − v_1)   →   v_1 = −ω ρ P               A sin α = b ρ Θ,    ρ = (2/π)(1 − e)/(1 + e)
@@ -50,23 +54,23 @@ No such motion exists below ξ = ρ/√(1 + ρ²): the fold, g/A = 2√(1 + ρ²
 that is, a mass (8/π²) m Θ(Θ − 1)/ξ² and, at its natural frequency, a damping ratio (4/π²)(m/m_1) ρ (Θ/ξ)².
 
 **Recoil.** The structure's speed jumps by 2μV in an impact, μ = m/m_1, and its motion has odd harmonics, of which
-near resonance the n-th is −(8/π²) μ P cos(nωt) / (n² − 1). To first order in μ this changes two numbers, nothing
-else:
+near resonance the n-th is −(8/π²) μ P cos(nωt) / (n² − 1). To first order in μ this changes only two
+numbers:
 
     mean speed at the impact     −V (1 − e)(1 + μ)/(1 + e)                 ρ → ρ (1 + μ)
     sum of the harmonics there   −(8/π²) μ P Σ 1/(n² − 1) = −(2/π²) μ P    (Θ − 1) → (κΘ − 1),   κ = 1 + 2μ/π²
     so    ξ² = (κΘ − 1)² + ρ²Θ²,    Θ = [κ + √((κ² + ρ²) ξ² − ρ²)] / (κ² + ρ²),    fold at g/A = 2√(κ² + ρ²)/ρ
 
-With μ = 0 these are the published formulas (`mass_ratio` = 0). With it they agree with the exact orbits of an
-instantaneous law, Masri & Caughey's, to the order μ².
+With μ = 0 these are the published formulas (`mass_ratio` = 0). With μ > 0 they agree with the exact orbits for
+instantaneous impacts (Masri & Caughey) up to an error of the order μ².
 
 **Stability of the sphere alone.** A half period maps small errors of the instant and speed of an impact into those of
 the next. The matrix of this map has the determinant e² and the trace 2e − q, q = (π²/4)(1 + e)²(Θ − 1)/Θ. Its
-eigenvalues are within the unit circle for 1/(1 + ρ²) < Θ < π²/(π² − 4): from the fold (an eigenvalue 1) to where the
-two half cycles become different (−1). The lower solution of the quadratic is below the fold and is never stable. (This
-map is that of μ = 0.)
+eigenvalues are within the unit circle for 1/(1 + ρ²) < Θ < π²/(π² − 4). At the lower bound, the fold, an eigenvalue is
+1; at the upper bound, where the two half cycles become different, one is −1. The smaller solution Θ of the quadratic
+equation is below the fold and is never stable. (This map neglects the recoil, μ = 0.)
 
-Left out: the order μ², how long a contact lasts, and what the harmonics do away from resonance.
+The theory neglects the order μ², the duration of a contact, and the effect of the harmonics away from resonance.
 
 Sources: O. V. Gendelman & A. Alloni (2015), "Dynamics of forced system with vibro-impact energy sink", J. Sound Vib.
 358, 301–314; E. Gourc, G. Michon, S. Seguy & A. Berlioz (2015), "Targeted energy transfer under harmonic forcing with
@@ -92,7 +96,7 @@ from impact_rig.physics.linear_response import transmissibility
 THETA_SYMMETRIC = math.pi**2 / (math.pi**2 - 4.0)
 """Largest Θ (amplitude of the sphere over half the gap) of a stable symmetric motion, for any restitution.
 
-It is that without recoil of the structure.
+The value neglects the recoil of the structure.
 """
 
 Real = NDArray[np.float64]
@@ -101,7 +105,7 @@ Complex = NDArray[np.complex128]
 
 @attrs.frozen
 class Manifold:
-    """Closed-form motion of a sphere that strikes each wall once per cycle, for one restitution.
+    """Family of closed-form motions, one for each Θ, of a sphere that strikes each wall once per cycle.
 
     A is the amplitude of the structure and b half the gap. The amplitude of the sphere is Θ b.
 
@@ -123,17 +127,17 @@ class Manifold:
 
     @property
     def rho(self) -> float:
-        """ρ = (2/π)(1 − e)(1 + μ)/(1 + e), which measures the loss in an impact: 0 for an elastic one."""
+        """Loss parameter ρ = (2/π)(1 − e)(1 + μ)/(1 + e) of the impacts; 0 for elastic impacts."""
         return 2.0 / math.pi * (1.0 - self.restitution) / (1.0 + self.restitution) * (1.0 + self.mass_ratio)
 
     @property
     def kappa(self) -> float:
-        """κ = 1 + 2μ/π², by which the recoil of the structure changes the motion: 1 without recoil."""
+        """Factor κ = 1 + 2μ/π² that accounts for the recoil of the structure in the motion; 1 without recoil."""
         return 1.0 + 2.0 * self.mass_ratio / math.pi**2
 
     @property
     def theta_fold(self) -> float:
-        """Θ of the fold, κ/(κ² + ρ²): the motion with the smallest possible amplitude A for its gap."""
+        """Θ at the fold, κ/(κ² + ρ²): at a given gap, the motion with the smallest possible amplitude A."""
         return self.kappa / (self.kappa**2 + self.rho**2)
 
     @property
@@ -144,7 +148,7 @@ class Manifold:
     def theta(self, xi: Real | float) -> Real:
         """Return Θ of the motion for ξ = A/b; NaN below the fold, where no such motion exists.
 
-        Of the two solutions of the quadratic equation it is the larger: the other is never stable.
+        Of the two solutions of the quadratic equation the larger is returned, since the smaller is never stable.
         """
         both = self.kappa**2 + self.rho**2
         square = both * np.asarray(xi, float) ** 2 - self.rho**2
@@ -157,9 +161,9 @@ class Manifold:
         return found
 
     def force(self, theta: Real) -> Complex:
-        """Return N / (m ω²), complex: the fundamental of the sphere's force on the structure, per displacement.
+        """Return N / (m ω²), complex: the fundamental of the sphere's force on the structure per displacement, scaled.
 
-        m is the mass of the sphere; the real part acts as an added mass, the imaginary part as damping.
+        m is the mass of the sphere. The real part acts as an added mass, the negative imaginary part as damping.
         """
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
@@ -175,25 +179,25 @@ class Manifold:
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return a mask: whether small errors of the sphere's motion decay if the structure's motion is undisturbed."""
+        """Return for each Θ whether small errors of the sphere's motion decay while the structure is undisturbed."""
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
 
 
 POINTS = 2000
-"""Number of motions along a branch, each with its value of Θ."""
+"""Number of values of Θ on the grid for a branch (`LinearRig.thetas`)."""
 BEYOND = 1.5
-"""Largest Θ of a branch over `THETA_SYMMETRIC`: beyond that bound the motions are unstable."""
+"""Largest Θ of a branch, as a multiple of `THETA_SYMMETRIC`, above which the motions are unstable."""
 _NEAR_FOLD = 1e-9  # relative distance of Θ from the fold, where slopes are infinite
-PAIRED = 1e-6  # imaginary share of a multiplier from which it is one of a pair
+PAIRED = 1e-6  # imaginary part of a multiplier, over its absolute value, above which it is one of a complex pair
 STABLE, FOLD, SYMMETRY, TORUS = "stable", "fold", "symmetry", "torus"
 _HALVINGS = 45  # number of halvings of a step of Θ
-_AT_ONCE = 32  # number of frequencies whose gaps are computed together: they fit into a cache
+_AT_ONCE = 32  # number of frequencies whose gaps are computed together, such that the arrays fit into a cache
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Branch:
-    """Motions with two symmetric impacts per cycle, in order along a curve; every attribute has the shape (n,).
+    """Motions with two symmetric impacts per cycle, in order along one curve; every attribute has the shape (n,).
 
     Attributes:
         frequency_hz: frequency of the drive.
@@ -202,9 +206,9 @@ class Branch:
         base_m: amplitude of the inferior base.
         superior_m: amplitude of the superior base.
         dt: displacement transmissibility.
-        phase_rad: phase of the superior base to the inferior one.
+        phase_rad: phase of the superior base relative to the inferior one, −π … π.
         impact_speed_m_s: speed of the sphere relative to the wall, before an impact.
-        impact_phase_rad: the superior base's phase past its right turning point when the right wall is struck.
+        impact_phase_rad: phase of the superior base past its right turning point when the right wall is struck.
         theta: amplitude of the sphere over half the gap, Θ.
         stable: whether the motion is stable.
         kind: `stable`, or how it loses its stability: `fold`, `symmetry` (the half cycles become different) or `torus`
@@ -232,14 +236,14 @@ class Branch:
         return Branch(**{field.name: getattr(self, field.name)[which] for field in attrs.fields(Branch)})
 
     def reduction_percent(self, config: MechanicsSetup) -> Real:
-        """Return 100 (1 − DT / DT without the sphere) of each motion, for the rig `config`, at the same frequency."""
+        """Return 100 (1 − DT / DT without the sphere) of each motion [%]; `config` is the rig, for the latter DT."""
         without: Real = np.abs(transmissibility(config, self.frequency_hz))
         return 100.0 * (1.0 - self.dt / without)
 
 
 @attrs.frozen
 class HeldDrive:
-    """Quantity that is held constant while gap or frequency changes: exactly one of the three.
+    """Quantity that is held constant while gap or frequency changes: exactly one of the attributes is given.
 
     Attributes:
         current_a: coil current, peak.
@@ -264,7 +268,7 @@ class HeldDrive:
 
 
 class _Answer(NamedTuple):
-    """Response of the linear rig to drive and sphere for given Θ: complex amplitudes, and the gap of the motion."""
+    """Response of the linear rig to the drive and to the sphere's force for given Θ, and the gap of each motion."""
 
     ratio: Complex  # X_1 / X_b
     current_a: Real
@@ -275,7 +279,7 @@ class _Answer(NamedTuple):
 
 @attrs.frozen
 class LinearRig:
-    """Quantities of a rig that the closed-form prediction needs: linear constants, mass and motion of the sphere."""
+    """Data of a rig for the closed-form prediction: its linear constants, the sphere's mass, and its motions."""
 
     linear: Constants
     sphere_kg: float
@@ -283,16 +287,16 @@ class LinearRig:
 
     @classmethod
     def of(cls, config: MechanicsSetup, *, recoil: bool = True) -> LinearRig:
-        """Create the quantities of a configured rig.
+        """Create the data of a configured rig.
 
-        `recoil` False neglects the recoil of the structure in an impact, as the published formulas do.
+        With `recoil` false, the recoil of the structure in an impact is neglected, as in the published formulas.
 
         Raises:
-            ConfigError: no sphere, friction of its guide, or a realised restitution that is not > 0 and < 1.
+            ConfigError: the rig has no sphere, its guide has friction, or the realised restitution is not > 0 and < 1.
         """
         restitution = contact_laws.from_config(config.contact).realised_restitution()
         if not config.sphere.present:
-            raise ConfigError("a prediction needs a sphere: sphere.present is false")
+            raise ConfigError("a prediction needs a sphere: sphere.present must be true, got false")
         if config.sphere.guide_friction > 0.0:
             raise ConfigError(
                 "a prediction does not include friction of the guide: sphere.guide_friction must be 0, got "
@@ -312,7 +316,7 @@ class LinearRig:
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gaps [m] for which the motions have these Θ; the shapes of Θ and frequency broadcast."""
+        """Return the gaps [m] at which motions with these Θ occur; `theta` and `frequency_hz` are broadcast."""
         return self._answer(theta, frequency_hz, held).gap_m
 
     def _answer(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> _Answer:
@@ -334,9 +338,9 @@ class LinearRig:
         return _Answer(ratio, current, base, superior, 2.0 * superior / self.manifold.xi(theta))
 
     def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
-        """Return the motions with these Θ, shape (n,), each with the gap at which it occurs.
+        """Return the motions with these Θ, shape (n,), each with the gap at which it occurs and its stability.
 
-        The frequency is common to all, or has the shape (n,), too.
+        `frequency_hz` is one value for all motions, or has the shape (n,).
         """
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
@@ -364,8 +368,9 @@ class LinearRig:
     def _multipliers(self, theta: Real, frequency_hz: Real, answer: _Answer, held: HeldDrive) -> Complex:
         """Return the Floquet multipliers of each motion over half a cycle; shape (n, 6), or (n, 4) for a held base.
 
-        They tell whether small errors of rig and sphere grow. They are the eigenvalues of −S Φ. Φ is the flight between
-        impacts, S the saltation matrix of the impact that ends it, and the sign mirrors the second half cycle.
+        Small errors of rig and sphere grow if one of them is outside the unit circle. The multipliers are the
+        eigenvalues of −S Φ. Φ is the transition matrix of the flight between impacts, S the saltation matrix of the
+        impact that ends it. The sign mirrors the state, because the second half cycle mirrors the first.
 
         Source: Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7.
         """
@@ -411,7 +416,7 @@ class LinearRig:
 
 
 def _kinds(multipliers: Complex) -> NDArray[np.str_]:
-    """Return whether each motion is stable, or how it loses its stability (`Branch.kind`), by its largest multiplier.
+    """Return `Branch.kind` of each motion, from the largest of its multipliers.
 
     The multipliers are those of half a cycle, shape (n, k).
     """
@@ -432,18 +437,19 @@ def branch(
 ) -> Branch:
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
-    They begin at the fold, and Θ increases from there. Exactly one quantity is held.
+    The motions are in the order of increasing Θ, from the fold on. Exactly one of `current_a`, `base_m` and
+    `superior_m` must be given: it is held constant along the branch.
 
     Args:
-        config: the rig; its own gap is irrelevant.
+        config: the rig; its own gap is ignored.
         frequency_hz: frequency of the drive.
-        current_a: held peak current; or
-        base_m: held amplitude of the inferior base; or
-        superior_m: held amplitude of the superior base.
+        current_a: peak coil current.
+        base_m: amplitude of the inferior base.
+        superior_m: amplitude of the superior base.
         recoil: whether the structure recoils in an impact, to first order in m/m_1; False means the published formulas.
 
     Raises:
-        ConfigError: the prediction does not apply to the configuration, or not exactly one quantity is held.
+        ConfigError: the prediction does not apply to the configuration, or not exactly one constant quantity is given.
     """
     rig = LinearRig.of(config, recoil=recoil)
     return rig.motions(rig.thetas(), frequency_hz, HeldDrive(current_a, base_m, superior_m))
@@ -461,7 +467,7 @@ def at(
 ) -> Branch:
     """Return all motions with two symmetric impacts per cycle at one frequency and gap, the largest Θ first.
 
-    The length is 0 if there are none. The arguments other than the gap are those of `branch`.
+    The branch has the length 0 if there are none. The arguments other than the gap are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -481,11 +487,11 @@ def curves(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> list[Branch]:
-    """Return the motions with two symmetric impacts per cycle with one gap over the frequency.
+    """Return the motions with two symmetric impacts per cycle at one gap, as curves over the frequency.
 
-    Each branch in the list is one continuous curve; the list is empty if there are no such motions. A new curve begins
-    where the number of motions changes. The arguments other than `frequencies_hz` (ascending, shape (n,)) and `gap_m`
-    are those of `branch`.
+    Each branch in the list is one continuous curve; the list is empty if there are no such motions. Curves end, and new
+    ones begin, where the number of motions at a frequency changes. The arguments other than `frequencies_hz`
+    (ascending, shape (n,)) and `gap_m` are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -502,9 +508,9 @@ def curves(
 
 
 def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Branch:
-    """Return the motions at resonance (the superior base a quarter cycle behind the inferior base) with one gap.
+    """Return the motions at resonance (the superior base a quarter cycle behind the inferior base) at one gap.
 
-    The amplitude grows along the branch, from the fold on; frequency, current and DT belong to it.
+    The amplitude grows along the branch, from the fold on. Each motion has its own frequency, current and DT.
 
     Raises:
         ConfigError: as for `branch`.
@@ -530,12 +536,12 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
 
 
 def widest_gap_m(motions: Branch) -> float:
-    """Return the largest gap [m] at which a motion of this branch exists."""
+    """Return the largest gap [m] among the motions of this branch, beyond which none exists."""
     return float(np.max(motions.gap_m))
 
 
 def best_gap(motions: Branch) -> Branch:
-    """Return the stable motion with the smallest DT of a branch over the gap, as a branch of length 1.
+    """Return the stable motion with the smallest DT on a branch over the gap, as a branch of length 1.
 
     The length is 0 if no motion is stable.
     """
@@ -546,7 +552,7 @@ def best_gap(motions: Branch) -> Branch:
 
 
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
-    """Return all Θ, in descending order, whose motion occurs at this gap; one array per frequency."""
+    """Return the Θ of all motions at this gap, in descending order, as one array per frequency."""
     grid = rig.thetas()
     rows, columns = [], []
     for first in range(0, len(frequencies_hz), _AT_ONCE):
@@ -567,9 +573,9 @@ def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) 
 
 
 def _stretches(counts: list[int]) -> Iterator[tuple[int, int]]:
-    """Yield (first, end) of each stretch of neighbouring indices with the same count > 0.
+    """Yield (first, end) of each longest range of indices first … end − 1 whose counts are equal and > 0.
 
-    Over such a stretch of frequencies each motion can be followed as one curve.
+    Over such a range of frequencies each motion can be followed as one curve.
     """
     first = 0
     for place in range(1, len(counts) + 1):

@@ -13,24 +13,25 @@
 # limitations under the License.
 """Reduction of the transmissibility by a damper, and the damper's added mass and loss factor, with uncertainties.
 
-They are computed from the settled rows of one session.
+They are computed from settled rows that were measured with the same instruments.
 
-Reduction, 100 (1 − DT / DT_0), both measured with the same instruments. A transmissibility is measured as
+The reduction is 100 (1 − DT / DT_0), where DT_0 is the transmissibility without the damper. A measured value is
 DT' = DT (1 + g_1 + b_1(A_1) − g_b − b_b(A_b) + ε) with laser (1) and base sensor (b):
 
     g      error of the sensitivity, the same in both measurements
-    b(A)   what the sensor's curve adds at amplitude A: c_3 (L/R) (1.875 (A/R)² − 1.5), `calibration`; c_3 is the same
-    ε      noise, scatter, remnant of a transient: of one measurement alone
+    b(A)   effect of the sensor's curved characteristic at the amplitude A: c_3 (L/R) (1.875 (A/R)² − 1.5)
+           (`analysis.calibration`); c_3 is the same in both measurements
+    ε      noise, scatter, remnant of a transient: different in every measurement
 
 In the quotient Q = DT / DT_0 every g cancels, and of b all but the difference of the squared amplitudes:
 
     u²(Q)/Q² = Σ_{1,b} [1.875 (L/R) u(c_3) (A² − A_0²)/R²]² + u²(ε) + u²(ε_0) + u_Q² + u_Q0²
 
-and 100 Q has the uncertainty of the reduction in points. u_Q: the steps of sensors and converter, another error at
-every amplitude, but the same in all rows of one (column `steps_uncertainty`). u(ε) is the rest of the
-stated uncertainty of a row without sensitivities and steps. n consecutive rows have n independent errors ε (a
-transient's remnant dies from row to row), so their mean has √Σu²(ε) / n. Zero errors do not affect the amplitude of a
-sine.
+and 100 u(Q) is the uncertainty of the reduction in percentage points. u_Q is due to the resolution steps of sensors and
+converter (column `steps_uncertainty`): this error differs between amplitudes, but is the same in all rows of one
+amplitude. u(ε) is the rest of a row's stated uncertainty, without sensitivities and steps. n consecutive rows have n
+independent errors ε (the remnant of a transient decays from row to row), so their mean has the uncertainty √Σu²(ε) / n.
+Zero errors do not affect the amplitude of a sine.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from impact_rig.analysis.uncertainty_budget import AMPLITUDES
 
 @attrs.frozen
 class Reduction:
-    """Decrease of the transmissibility DT by the damper, relative to DT without it (DT_0)."""
+    """Reduction of the transmissibility DT by the damper, relative to DT without the damper (DT_0)."""
 
     percent: float  # 100 (1 − DT / DT_0)
     u_points: float  # standard uncertainty of `percent`, in percentage points
@@ -55,7 +56,7 @@ class Reduction:
 
 
 def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Calibration) -> Reduction:
-    """Return by how many percent the damper reduces the mean transmissibility, with the uncertainty.
+    """Return the reduction of the mean transmissibility by the damper in percent, with its uncertainty.
 
     Args:
         without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
@@ -75,10 +76,13 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
 
 
 def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
-    """Return the relative standard uncertainty of the mean transmissibility, without that of the sensitivities.
+    """Return the relative standard uncertainty of the mean transmissibility, without the part of the sensitivities.
 
-    This is the part that remains in the quotient of two measurements, in which errors of the sensitivities cancel. The
-    rows are settled ones of `transmissibility/table` of one gap and frequency, shape (n,), n >= 1.
+    This uncertainty remains in the quotient of two measurements, in which errors of the sensitivities cancel.
+
+    Args:
+        rows: settled rows of `transmissibility/table` at one gap and frequency, shape (n,), n >= 1.
+        calibration: calibration of the instruments.
     """
     sensitivities = np.array(
         [
@@ -98,16 +102,16 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
 
 
 def _steps(rows: NDArray[np.void]) -> float:
-    """Return the relative variance of DT due to the steps of sensors and converter, an error common to all rows.
+    """Return the relative variance of DT due to the resolution steps of sensors and converter, common to all rows.
 
-    It is 0 if the column `steps_uncertainty` is NaN, as in rows of an earlier version.
+    A row counts as 0 if its column `steps_uncertainty` is NaN, as in rows of an earlier version.
     """
     return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))
 
 
 @attrs.frozen
 class Damper:
-    """Effect of a damper on the structure at one frequency, relative to the structure's mass m_1."""
+    """Added mass and loss factor of a damper at one frequency, both relative to the structure's mass m_1."""
 
     added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the apparent added mass
     loss_factor: float  # energy lost per cycle over 2π · ½ m_1 ω² X_1²
@@ -129,7 +133,7 @@ def damper_effect(without: NDArray[np.void], rows: NDArray[np.void], calibration
 
     Args:
         without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
-        rows: those with it, at the same frequency, shape (k,), k >= 1.
+        rows: settled rows with the damper, at the same frequency, shape (k,), k >= 1.
         calibration: calibration of these instruments.
     """
     d_0, d = (complex(np.mean(one["transmissibility"] * np.exp(1j * one["phase"]))) for one in (without, rows))

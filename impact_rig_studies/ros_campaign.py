@@ -13,8 +13,8 @@
 # limitations under the License.
 """Measurement of a campaign's jobs through ROS: rig, analysis and recorder are node processes, in lockstep.
 
-The results equal those measured in this process, without ROS, bit for bit. For every job the rig is configured again
-and the analysis activated again, so both start as in new processes.
+The results are bit for bit equal to those measured in one process without ROS. Before every job the rig is configured
+and the analysis activated again, so both start in the same state as new processes.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from impact_rig_studies.operate.stepped_sine import SteppedSine
 Watch = Callable[[Job, SteppedSine | None], None]
 """Callback for the progress of a job, which receives the job and its sweep.
 
-The sweep is None while the rig is being prepared. The callback is called again at the start and after each measurement.
+It is first called with None, before the rig is prepared, then with the sweep at its start and after each measurement.
 """
 
 
 def run_name(job: Job) -> str:
-    """Return the name of the directory that a job is recorded into: its gap and frequencies, and its key."""
+    """Return the name of a job's recording, a directory: it consists of gap, frequencies and key of the job."""
     case = job.describe().replace(", ", "_").replace(" ", "")
     return f"{case}_{job.key}"
 
@@ -51,14 +51,14 @@ def ros_runner(
 ) -> Runner:
     """Return a function that measures jobs on a rig, an analysis and a recorder running as ROS node processes.
 
-    The processes start when the first job is requested, and end after the last. Jobs with another scan rate or block
-    length get new processes.
+    The processes start when the first job is requested, and end after the last. Since scan rate and block length are
+    fixed at their start, jobs that differ in them are measured by different processes, one group after the other.
 
     Args:
         logs: directory; the processes write their logs into its subdirectory `logs`.
         runs: directory in which every job is recorded as one run; None means no recording.
         name: function that returns the name of a job's run, a directory in `runs`.
-        watch: callback that receives the progress of each job.
+        watch: callback for the progress of each job.
     """
 
     def run(jobs: Sequence[Job]) -> Generator[tuple[Job, Outcome], None, None]:

@@ -44,13 +44,13 @@ STOPPING = {
     InputKind.TIMEOUT: "received no commands in time",
     InputKind.RESET: "was reset",
 }
-"""Kinds of journal entries after which a sweep is aborted, with a verb that completes "the rig ..." in the reason."""
-COMMAND, PHASE = "command", "phase"  # constant quantities in addition to the amplitudes of `Hold`
+"""Kind of a journal entry that aborts a sweep -> verb that completes "the rig ..." in the reason."""
+COMMAND, PHASE = "command", "phase"  # values of `hold` in addition to the amplitudes of `Hold`
 
 
 @attrs.frozen(kw_only=True)
 class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
-    """Parameters of the stepped-sine node: a sweep, what stays constant in it, and when to begin."""
+    """Parameters of the stepped-sine node: the points of a sweep, the quantity held constant, and when to begin."""
 
     hold: str = choice(
         COMMAND,
@@ -69,19 +69,20 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
             self.lock_plan()  # rejects a start out of range
 
     def lock_plan(self) -> LockPlan:
-        """Return the plan of a phase lock that searches the resonance from the first frequency of the sweep on."""
+        """Return the plan of a phase lock whose search for the resonance begins at the first frequency of the sweep."""
         names = ("current_a", "superior_limit_m", *(attribute.name for attribute in attrs.fields(LockSettings)))
         return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return a new sweep by these settings: with the commanded current, or with a controlled amplitude."""
+        """Return a new sweep with these settings: at the commanded current, or with a controlled amplitude."""
         return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
 class SteppedSineNode(ManagedNode[SteppedSineSettings]):
-    """Lifecycle node that measures a curve, one frequency after the other, or locks on a resonance.
+    """Lifecycle node that measures a curve, one frequency after the other, or finds and holds a resonance (phase lock).
 
-    For a phase lock it also reads the scans. It acknowledges each block, so a rig in lockstep can wait for it.
+    For a phase lock it subscribes to the scans as well, and acknowledges each block of them, so that a rig in lockstep
+    can wait for it.
     """
 
     COMPONENT = "sweep"
@@ -91,7 +92,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         super().__init__("stepped_sine", Tree(SteppedSineSettings), **kwargs)
         self._operator: Operator[ControllerRun] | None = None
         self._acknowledgements = Acknowledgements(self)
-        self._pending = False  # requested, but the rig is not running yet
+        self._pending = False  # a start was requested, but something is still missing (`_missing`)
         self._now_ns: int | None = None
         self._info: Table | None = None
         self._scans: Any = None  # subscription while the phase is held
@@ -102,7 +103,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Create the publishers of frequency and current, of the measured sweep, and of acknowledgements."""
+        """Create the publishers of the commands (frequency, current), the measured sweep, and acknowledgements."""
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
@@ -119,7 +120,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep by commanding zero current, acknowledge received blocks, and unsubscribe from scans."""
+        """Abort a running sweep (zero current), acknowledge the received blocks of scans, and unsubscribe from them."""
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
         self._acknowledgements.flush()
@@ -132,7 +133,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self._operator = None
 
     def settings_changed(self, settings: SteppedSineSettings, changes: dict[str, Any]) -> None:
-        """Accept changed parameters for the next sweep.
+        """Apply changed parameters to the next sweep; subscribe to the scans if it needs them, else unsubscribe.
 
         Raises:
             ConfigError: a sweep is running.
@@ -153,11 +154,11 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._scans = None
 
     def rig_time_ns(self) -> int | None:
-        """Return the newest rig time received from the rig [ns]; None before the first message."""
+        """Return the rig time of the newest message from the rig [ns]; None if none arrived since the activation."""
         return self._now_ns
 
     def doing(self) -> NodeState:
-        """Return the state for the node's status: idle, waiting, running, done, or aborted with the reason."""
+        """Return the state that the node publishes: idle, waiting or aborted (both with a reason), running, or done."""
         words = states.SteppedSineWord
         if self._pending:
             return NodeState(words.WAITING, self._missing() or "about to begin")
@@ -169,7 +170,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return NodeState(words.RUNNING if self._operator.busy else words.DONE)
 
     def health(self) -> tuple[Level, str]:
-        """Return the level and text for the node's diagnostics: the sweep's progress, or what prevents its start."""
+        """Return level and text for diagnostics: progress or abort of the sweep, or what prevents its start."""
         if self.state != "active":
             return Level.WARN, self.state
         if self._pending:
@@ -182,7 +183,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return Level.OK, sweep.describe()
 
     def figures(self) -> Mapping[str, object]:
-        """Return the figures of the running or last sweep for the diagnostics, by name; empty if there was none."""
+        """Return numbers about the running or last sweep by name, for the diagnostics; empty if there was no sweep."""
         if self.state != "active" or self._pending or self._operator is None:
             return {}
         return self._operator.run.figures()
@@ -190,7 +191,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Start and stop
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
-        refusal = "a sweep is running already" if self._running else self._missing()
+        refusal = "a sweep is running already; call ~/stop first" if self._running else self._missing()
         if not self.active:
             refusal = f"the node is {self.state}, activate it first"
         if refusal:
@@ -217,16 +218,19 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._operator is not None and self._operator.busy
 
     def _missing(self) -> str:
-        """Return the first missing requirement for a sweep, as a text for the user; empty when a sweep can start."""
+        """Return why a sweep cannot start yet, as a text for the user; empty if it can start."""
         commands = topics.FREQUENCY.name, topics.CURRENT.name
         if silent := [name for name in commands if not self.outputs[name].get_subscription_count()]:
             return f"no rig subscribes to {' and '.join(silent)}"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
-                return f"nothing received on {topics.SCAN.name if self._info is not None else topics.INFO.name} yet"
+                topic = topics.SCAN if self._info is not None else topics.INFO
+                return f"nothing received on {topic.name} yet: activate the rig if it is not running"
         elif not self.count_publishers(topics.TRANSMISSIBILITY_TABLE.name):
             return f"no publisher of {topics.TRANSMISSIBILITY_TABLE.name}: start and configure an analysis node"
-        return "" if self._now_ns is not None else f"nothing received on {MONITORS['base'].name} yet"
+        if self._now_ns is None:
+            return f"nothing received on {MONITORS['base'].name} yet: activate the rig if it is not running"
+        return ""
 
     def _begin_when_ready(self) -> None:
         if self._pending and not self._missing():
@@ -248,13 +252,13 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Interface of the operator
 
     def now_ns(self) -> int:
-        """Return the newest rig time received from the rig [ns]; 0 before the first message."""
+        """Return the rig time of the newest message from the rig [ns]; 0 if none arrived since the activation."""
         return self._now_ns or 0
 
     def _drive(self, setpoint: Setpoint) -> None:
-        """Publish frequency and current of a setpoint for the rig, which confirms them on `shaker/applied`.
+        """Publish frequency and current of a setpoint as commands for the rig.
 
-        At the end of the sweep, publish zero current, and log the result or the reason of an abort.
+        At the end of the sweep, publish zero current instead, and log the result or the reason of an abort.
         """
         assert self._operator is not None
         if self._operator.busy:
@@ -276,9 +280,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Messages
 
     def _follow(self, topic: topics.Topic, callback: Callable[[Operator[ControllerRun], Table], None]) -> Any:
-        """Subscribe to a topic of tables, and return the subscription.
+        """Subscribe to a topic of tables for the running sweep, and return the subscription.
 
-        `callback` receives the operator of a running sweep, and each table with a stamp since the sweep's start.
+        `callback` receives the operator of the sweep, and each table. Tables are ignored while no sweep is running, and
+        if their stamp is before the start of the sweep.
         """
 
         def take(table: Table) -> None:
