@@ -11,9 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Theory of the rig without simulation: closed forms without impacts, and two symmetric impacts per cycle.
+"""Closed-form theory of motions with two symmetric impacts of the sphere per cycle, without simulation.
 
-**Two symmetric impacts per cycle**: DT, phase, impacts, and the limits of such motions. Θ is the amplitude of the
+**The rig**: DT, phase, impacts, and the limits of such motions. Θ is the amplitude of the
 sphere over half the gap. The sphere acts on the structure with the force N x_1. N follows from the slow invariant
 manifold (below) and depends on Θ and ω alone, neither on the gap nor on the amplitude. With this force in the rig's
 linear model (s = iω, K = k_1 + c_1 s, Z = (m_a + m_b) s² + c_f s + k_f),
@@ -54,8 +54,7 @@ No such motion exists below ξ = ρ/√(1 + ρ²): the fold, g/A = 2√(1 + ρ²
 that is, a mass (8/π²) m Θ(Θ − 1)/ξ² and, at its natural frequency, a damping ratio (4/π²)(m/m_1) ρ (Θ/ξ)².
 
 **Recoil.** The structure's speed jumps by 2μV in an impact, μ = m/m_1, and its motion has odd harmonics, of which
-near resonance the n-th is −(8/π²) μ P cos(nωt) / (n² − 1). To first order in μ this changes only two
-numbers:
+near resonance the n-th is −(8/π²) μ P cos(nωt) / (n² − 1). To first order in μ this changes only two numbers:
 
     mean speed at the impact     −V (1 − e)(1 + μ)/(1 + e)                 ρ → ρ (1 + μ)
     sum of the harmonics there   −(8/π²) μ P Σ 1/(n² − 1) = −(2/π²) μ P    (Θ − 1) → (κΘ − 1),   κ = 1 + 2μ/π²

@@ -11,4 +11,4 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Campaigns: measurements of the paper's cases, with summaries and comparisons, without ROS."""
+"""Campaigns: measurement of all points of a file, results in a directory, comparison with the paper; without ROS."""

@@ -39,12 +39,17 @@ _DIGITS = 12  # digits of the values of a range, so that 9.00, 9.01, ... are exa
 
 
 def wrong(key: str, rule: str, value: object) -> ConfigError:
-    """Return the error "KEY must be RULE, got VALUE", for the caller to raise."""
+    """Create the error "KEY must be RULE, got VALUE", for the caller to raise."""
     return ConfigError(f"{key} must be {rule}, got {quoted(value)}")
 
 
 def check_keys(key: str, found: Mapping[str, object], known: Iterable[str]) -> None:
-    """Reject a mapping of a study's file, found under `key` (empty for the file itself), with an unknown key.
+    """Check that a mapping in the file of a study contains only known keys.
+
+    Args:
+        key: key of the mapping itself, for the message; empty for the top level of the file.
+        found: mapping to check.
+        known: allowed keys.
 
     Raises:
         ConfigError: a key is unknown; the message names the first such key and all known ones.
@@ -60,7 +65,7 @@ def number(key: str, value: object, low: float, high: float = math.inf) -> float
     """Return a value that must be a finite number > low and <= high.
 
     Raises:
-        ConfigError: the value is not a number (true and false are none), not finite, or out of range.
+        ConfigError: the value is not a number (true and false are not), not finite, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise wrong(key, "a number", value)
@@ -94,16 +99,16 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return the items of a value read by `values`, each of which must be one of `choices`.
+    """Return the values of a list, a range or a single value (`values`), each of which must be one of `choices`.
 
     Raises:
-        ConfigError: an item is another one, or the list is invalid.
+        ConfigError: a value is not one of `choices`, or the list is invalid.
     """
     return tuple(word(key, item, choices) for item in values(key, value))
 
 
 def mapping(key: str, value: object) -> dict[str, object]:
-    """Return a value that must be a mapping with texts as keys; None, as of a key without a value, counts as empty.
+    """Return a value that must be a mapping with texts as keys; None (a key without a value) becomes an empty mapping.
 
     Raises:
         ConfigError: the value is not such a mapping.
@@ -116,12 +121,12 @@ def mapping(key: str, value: object) -> dict[str, object]:
 
 
 def values(key: str, value: object) -> list[object]:
-    """Return the values in a list, in a range `{from: a, to: b, step: s}`, or a single value as a list of one.
+    """Return the values of a list, of a range `{from: a, to: b, step: s}`, or a single value as a list of length 1.
 
     A range begins with `from`, and includes `to` if that is a whole number of steps away.
 
     Raises:
-        ConfigError: there are none or more than `MAX_VALUES`, one occurs twice, or the range is invalid.
+        ConfigError: there are no or more than `MAX_VALUES` values, one occurs twice, or the range is invalid.
     """
     items: list[object]
     if isinstance(value, dict):
@@ -143,21 +148,21 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return the items of a value read by `values`, each of which must be a number > low and <= high.
+    """Return the values of a list, a range or a single value (`values`), which must be numbers > low and <= high.
 
     Raises:
-        ConfigError: an item is not such a number, or the list or range is invalid.
+        ConfigError: a value is not such a number, or the list or range is invalid.
     """
     return tuple(number(f"{key}[{i}]", item, low, high) for i, item in enumerate(values(key, value)))
 
 
 def gaps(key: str, value: object) -> tuple[float, ...]:
-    """Return the items of a value read by `values`, each of which must be a gap [m].
+    """Return the values of a list, a range or a single value (`values`), each of which must be a gap [m].
 
     The text `none` and a missing value become `NO_SPHERE`.
 
     Raises:
-        ConfigError: a gap is not a number in (0, 1] m; with a gap of 0 both barriers would hold the sphere.
+        ConfigError: a gap is not > 0 and <= 1 m (at 0 both barriers would touch the sphere), or the list is invalid.
     """
     return tuple(
         NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)
@@ -166,12 +171,12 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return the items of a value read by `values`: numbers, texts, true or false.
+    """Return the values of a list, a range or a single value (`values`): numbers, texts, true or false.
 
-    Whether the rig's configuration allows them is not checked here.
+    They are values of the rig's configuration, whose rules are not checked here.
 
     Raises:
-        ConfigError: an item is of another type, or the list or range is invalid.
+        ConfigError: a value is of another type, or the list or range is invalid.
     """
     found: list[Value] = []
     for i, item in enumerate(values(key, value)):
@@ -182,10 +187,16 @@ def scalars(key: str, value: object) -> tuple[Value, ...]:
 
 
 def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], None]) -> RigConfig:
-    """Return the rig that the content `top` of a study's file in `folder` defines by its keys `config` and `set`.
+    """Return the rig that the file of a study defines by its keys `config` and `set`.
 
-    `config` names a configuration file, relative to `folder`; without it, the rig is the default one. `refuse` receives
-    key and dotted name of each value that is set, and raises for one that must not be.
+    `config` names a configuration file; without it, the rig is the default one. The values in `set` replace those of
+    the configuration.
+
+    Args:
+        top: content of the file.
+        folder: directory of the file, to which `config` is relative.
+        refuse: function that receives key and dotted name of each value in `set`, and raises a ConfigError for a value
+            that must not be set.
 
     Raises:
         ConfigError: a file cannot be read, a value is wrong, or `refuse` rejects one.
@@ -200,7 +211,7 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
 
 
 def settings(key: str, given: object, kind: type[S]) -> S:
-    """Return an object of the class `kind` with the settings that a file gives under `key`; the rest are defaults.
+    """Return an object of the class `kind` with the settings `given` in a file under `key`; the rest are defaults.
 
     Raises:
         ConfigError: a key or value is wrong.

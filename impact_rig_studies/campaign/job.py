@@ -11,15 +11,16 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Job`: one run of a reset rig, the unit that is measured, stored and never repeated.
+"""`Job`: one run that begins with a reset rig, the unit of a campaign that is measured and stored once.
 
-A job begins with a reset rig and a new analysis, so it depends only on its own values. It gives the same bits in this
-process, in another one, on another machine of the same kind, through ROS, and after an interruption. Single points are
-jobs of one frequency; a sweep that keeps the rig's state from point to point is one job of many.
+A job begins with a reset rig and a new analysis, so its result depends only on its own values. It is the same to the
+bit in this process, in another one, on another machine of the same kind, through ROS, and after an interruption. A
+point that is measured alone is a job with one frequency; a sweep that keeps the rig's state from point to point is one
+job with many frequencies.
 
 All jobs of one seed are the *same rig*: `daq.seed` determines the instruments' calibration errors, which in a
-laboratory do not change from run to run. A job therefore uses the campaign's seed unchanged. With a seed for every
-point, every point would have other instruments, and reductions would contain errors that cancel in reality.
+laboratory do not change from run to run. A job therefore uses the campaign's seed unchanged. If every point had its own
+seed, it would have its own instruments, and reductions would contain errors of the instruments that cancel in reality.
 """
 
 from __future__ import annotations
@@ -49,14 +50,14 @@ from impact_rig_studies.operate.plans import Direction, SweepPlan
 from impact_rig_studies.operate.stepped_sine import SteppedSine, SweepState
 
 UPDATES_PER_S = 4
-"""Number of times per second of rig time at which the operator reads the measurements and sends commands.
+"""Number of times per second of rig time that the operator reads the measurements and sends commands.
 
 It is part of a job's definition, because in a sweep it determines when the next frequency begins.
 """
-MAX_BLOCK_SCANS = 4000  # limit at which a block of truth fits into a message
-DWELL_FACTOR = 2.5  # time limit of a point, in multiples of the analysis's own limit
-TRACED = (topics.TRUTH_SCAN.name,)
-TRACE_BLOCKS = 2  # number of blocks kept as a trace after the last measurement
+MAX_BLOCK_SCANS = 4000  # largest block of scans whose true motion (`truth/scan`) fits into one message
+DWELL_FACTOR = 2.5  # time limit of a measurement in a sweep, in multiples of the time limit of the analysis
+TRACED = (topics.TRUTH_SCAN.name,)  # topics that a job with traces needs in addition
+TRACE_BLOCKS = 2  # number of blocks of scans kept as a trace after the last measurement
 
 
 @attrs.frozen(kw_only=True)
@@ -74,9 +75,10 @@ class Job:
     traces: bool = False  # whether to keep scans and true motion after the last measurement
 
     def config(self) -> RigConfig:
-        """Return the configuration of the rig, with blocks of a quarter of a second (`UPDATES_PER_S`), or shorter.
+        """Return the configuration of the rig, with blocks of scans of a quarter of a second (`UPDATES_PER_S`).
 
-        The operator reads the measurements after each block, which has at most `MAX_BLOCK_SCANS` scans.
+        The operator reads the measurements after each block. At high scan rates blocks are shorter, since they have at
+        most `MAX_BLOCK_SCANS` scans.
 
         Raises:
             ConfigError: a value is wrong.
@@ -113,7 +115,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Digest of all values that determine the results: 16 hexadecimal digits. Code and `traces` do not count."""
+        """Digest of all values of the job that determine its results (not `traces`): 16 hexadecimal digits."""
         content = {
             "config": not_default(self.config()),
             "analysis": attrs.asdict(self.settings()),
@@ -136,11 +138,11 @@ class Outcome:
 
     rows: NDArray[np.void] = attrs.field(factory=lambda: np.zeros(0, TRANSMISSIBILITY))
     """Measurements that the sweep accepted, in their order: rows of `transmissibility/table`."""
-    failure: str = ""  # why the run did not finish; empty otherwise
+    failure: str = ""  # why the run did not finish; empty if it did
     skipped_hz: tuple[float, ...] = ()  # frequencies without a measurement because a sensor was over range
     simulated_s: float = 0.0  # duration in rig time
     wall_s: float = 0.0  # duration by the clock of this machine
-    lost_scans: int = 0  # scans that never reached the analysis
+    lost_scans: int = 0  # number of scans that never reached the analysis
     trace: Mapping[str, NDArray[np.generic]] = attrs.field(factory=dict)
     """Scans and true motion at the end of the run, one array per column by name; empty unless the job requests them."""
 
@@ -156,12 +158,12 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
     Args:
         job: job to measure.
-        start: returns a new rig with its analysis, in this process or behind topics; the results are the same bits.
-        on_update: receives the sweep when the drive is set, and after every measurement.
+        start: function that returns a new rig with its analysis for the job, in this process or as ROS nodes.
+        on_update: function that receives the sweep at its start, and after each block of scans with new measurements.
 
     Raises:
         ConfigError: the job has no valid plan.
-        GoneError: a process of the rig died, which proves nothing about the job.
+        GoneError: a process of the rig died; the job has no result and can be measured again.
     """
     started = time.perf_counter()
     rig: RigDriver | None = None
@@ -189,7 +191,7 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
 
 def _trace(rig: RigDriver) -> Trace:
-    """Advance the rig by a few blocks and return their scans and true motion (`truth/scan`) as columns by name."""
+    """Advance the rig by a few blocks, and return their scans and true motion (`truth/scan`) as columns by name."""
     rig.configure({"output.truth_scan": True})  # changes what is published, but no sample
     rig.step()  # only half of its truth was kept
     rig.clear()
@@ -199,9 +201,14 @@ def _trace(rig: RigDriver) -> Trace:
 
 
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
-    """Return rows of `daq/scan` and `truth/scan` at the same times as columns in single precision, by name.
+    """Convert scans, and the true motion at the same times, into columns by name, in single precision.
 
-    The column `time`, in double precision, counts from the first row [s].
+    An additional column `time`, in double precision, has the time since the first row [s].
+
+    Args:
+        scans: consecutive rows of `daq/scan`, shape (n,).
+        truth: rows of `truth/scan` at the same times, shape (n,).
+        rate_hz: scans per second.
     """
     found: dict[str, NDArray[np.generic]] = {"time": np.arange(len(scans)) / rate_hz}
     for rows, names in ((scans, channels_of(scans)), (truth, TRUE_COLUMNS)):
@@ -219,5 +226,5 @@ def start_local(job: Job) -> RigDriver:
 
 
 def execute(job: Job) -> Outcome:
-    """Measure a job on a rig in this process; an error becomes the outcome's `failure`."""
+    """Measure a job on a rig in this process; an error of rig or sweep becomes the outcome's `failure`."""
     return run_job(job, start_local)

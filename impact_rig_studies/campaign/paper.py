@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The paper's results, the same quantities from measurements (`Reductions`), and limits for their difference.
+"""The paper's published results, the same quantities from measurements (`Reductions`), and their largest difference.
 
 Source: `TITLE` by `AUTHORS`. No DOI of it was found.
 """
@@ -50,8 +50,8 @@ The superior base then moves about 5.85 mm at 9.1 Hz without the sphere.
 REDUCTION_PERCENT: Mapping[float, float] = {2e-3: 29.4, 4e-3: 38.5, 6e-3: 43.0, 8e-3: 45.0, 10e-3: 49.0}
 """Published reduction of the transmissibility at 9.1 Hz compared with the run without the sphere, by gap [m]."""
 POINTS_LIMIT, RMS_LIMIT = 2.0, 1.0
-"""Allowed difference from the paper's reductions in percentage points: of each one, and rms of all five."""
-DEMO_POINTS_LIMIT = 3.0  # the same for the demo, which measures each case twice
+"""Largest allowed difference from the paper's reductions in percentage points: for each, and as rms of all five."""
+DEMO_POINTS_LIMIT = 3.0  # as POINTS_LIMIT, for the demo, which measures each case only twice
 
 
 @attrs.frozen
@@ -66,9 +66,9 @@ class Reductions:
 
     @classmethod
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
-        """Compute the reductions of measurements.
+        """Compute the reductions from measurements.
 
-        Without a measurement without the sphere there are none, and `dt_no_sphere` is NaN.
+        If the measurement without the sphere is missing, there are no reductions, and `dt_no_sphere` is NaN.
 
         Args:
             rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE` means without the sphere.
@@ -92,7 +92,7 @@ class Reductions:
     def errors(self) -> dict[float, float]:
         """Return the measured reductions minus the paper's, in percentage points, by gap [m].
 
-        It has those of the paper's gaps that were measured.
+        Only gaps that are both in the paper and measured are contained.
         """
         ours = self.percent()
         return {gap: ours[gap] - paper for gap, paper in REDUCTION_PERCENT.items() if gap in ours}
@@ -107,6 +107,6 @@ class Reductions:
         return math.sqrt(sum(error**2 for error in errors) / len(errors)) if errors else math.nan
 
     def grows_with_gap(self) -> bool:
-        """Return whether every gap has a larger reduction than the next smaller one; also true for one gap or none."""
+        """Return whether every gap has a larger reduction than the next smaller gap; also true for one gap or none."""
         ordered = [value for _, value in sorted(self.percent().items())]
         return all(a < b for a, b in itertools.pairwise(ordered))

@@ -13,8 +13,8 @@
 # limitations under the License.
 """`Campaign`: a validated campaign file, and its jobs.
 
-A campaign is one YAML file with studies, each the product of its axes. A wrong file is rejected before anything runs;
-the message names key, value, range and file.
+A campaign is one YAML file with studies. A study measures all combinations of the values of its axes (frequency, gap,
+current and others). A wrong file is rejected before anything runs; the message names key, value, range and file.
 """
 
 from __future__ import annotations
@@ -42,48 +42,48 @@ from impact_rig_studies.operate.plans import Direction
 RESET = "reset"  # direction of a study whose points each start with a reset rig
 DIRECTIONS = (RESET, *(direction.value for direction in Direction))
 STARTS = ("left", "centre", "right")
-GAP_VALUES = ("barriers.gap_m", "sphere.present")
+GAP_VALUES = ("barriers.gap_m", "sphere.present")  # configuration values that a gap of `gaps_m` determines
 OWNED = ("daq.block_scans", "time.", "step.", "pluck.", "output.autostart", "output.truth_scan")
-"""Beginnings of configuration names that the campaign itself sets, so a campaign file must not."""
+"""Beginnings of the names of configuration values that the campaign itself sets, so a campaign file must not."""
 NAMED_AXES: Mapping[str, tuple[str, Callable[[str, object], tuple[Value, ...]]]] = {
     "laws": ("contact.law", lambda key, given: axes.words(key, given, LAWS)),
     "restitutions": ("contact.restitution", lambda key, given: axes.numbers(key, given, 0.0, 1.0)),
     "starts": ("sphere.start", lambda key, given: axes.words(key, given, STARTS)),
     "seeds": ("daq.seed", lambda key, given: tuple(axes.whole(key, one, 0, 2**53) for one in axes.values(key, given))),
 }
-"""Key of a study -> the dotted name of the configuration value that it varies, and the function that reads the key."""
+"""Key of a study -> dotted name of the configuration value that it varies, and the reader of the key's values."""
 OTHERWISE = {**{name: key for key, (name, _) in NAMED_AXES.items()}, **dict.fromkeys(GAP_VALUES, "gaps_m")}
-"""Dotted name of a configuration value -> key of a study that must be used to vary it, instead of `vary`."""
+"""Dotted name of a configuration value -> key of a study that varies it; it must not be in `vary`."""
 
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Study of a campaign file: all combinations of its frequencies, gaps, currents and other values are measured."""
+    """Study of a campaign file, which measures all combinations of its frequencies, gaps, currents and other values."""
 
     name: str
     frequencies_hz: tuple[float, ...]
-    gaps_m: tuple[float, ...]  # `NO_SPHERE`: without the sphere
+    gaps_m: tuple[float, ...]  # `NO_SPHERE` means without the sphere
     currents_a: tuple[float, ...] = (CURRENT_A,)
-    direction: str = RESET  # `reset` before each frequency, or the order of a sweep that keeps the rig's state
+    direction: str = RESET  # `reset`: the rig is reset before each frequency; else the order of one sweep without reset
     repetitions: int = 1  # number of measurements per frequency
-    traces: bool = False
+    traces: bool = False  # whether to keep scans and true motion at the end of each job
     vary: Mapping[str, tuple[Value, ...]] = attrs.field(factory=dict)
-    """Values of the study's other axes, by dotted name of the configuration value that varies."""
+    """Values of the study's other axes, by dotted name of the varied configuration value."""
 
     @property
     def points(self) -> int:
-        """Number of measurements that the study makes, including repetitions."""
+        """Number of measurements in the study: combinations of values times repetitions."""
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
         return self.repetitions * math.prod(map(len, axes))
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Planned:
-    """Job of a campaign, with its study, and its values of the study's axes other than frequency, gap and current."""
+    """Job of a campaign, with the name of its study and its values of the study's axes."""
 
     study: str
     job: Job
-    axes: Mapping[str, Value]  # these values by the dotted name of the configuration value
+    axes: Mapping[str, Value]  # its values of axes other than frequency, gap and current, by dotted name
     reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
 
 
@@ -93,21 +93,21 @@ class Campaign:
 
     title: str
     base: RigConfig  # rig that all studies start with
-    analysis: Mapping[str, Value]  # settings of the measurement that differ from the default
+    analysis: Mapping[str, Value]  # settings of the analysis that the file states
     studies: tuple[Study, ...]
     text: str  # content of the file
     first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:
-        """Return the first job on the reference rig, the rig for which the paper's statements are judged.
+        """Return the first job of the campaign file; its rig is the reference rig for the paper's statements.
 
         Raises:
-            ConfigError: its values are inconsistent; the message names the study.
+            ConfigError: the values of the job are inconsistent; the message names the study.
         """
         return next(self._expand(self.first or self.studies[0])).job
 
     def planned(self) -> list[Planned]:
-        """Return all jobs in order; a job shared by two studies is listed twice, with one key.
+        """Return the jobs of all studies in the order of the file; a job of two studies occurs twice, with one key.
 
         Raises:
             ConfigError: a combination of values is inconsistent; the message names the study.
@@ -126,7 +126,7 @@ class Campaign:
         """Return the campaign restricted to these studies, in the order of its file; the reference rig stays the same.
 
         Raises:
-            ConfigError: there is no study of that name.
+            ConfigError: there is no study of one of these names; the message lists the known ones.
         """
         known = [study.name for study in self.studies]
         for name in names:
@@ -163,12 +163,12 @@ class Campaign:
 def load_campaign(
     path: str | Path, overrides: Mapping[str, object] | None = None, resolved: RigConfig | None = None
 ) -> Campaign:
-    """Return the campaign that a YAML file defines, after checking all its combinations of values.
+    """Read a campaign from a YAML file, and check all combinations of its values.
 
     Args:
         path: path of the file.
         overrides: configuration values that override the file, by dotted name.
-        resolved: rig to start with, instead of the file's `config`, `set` and the overrides.
+        resolved: rig that all studies start with; with it, the file's `config` and `set` and the overrides are ignored.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Parallel execution of jobs, on all cores of this machine or on a Dask cluster; results arrive as they are completed.
 
-The caller supplies the function that runs a job, and stores its result.
+The caller supplies the function that runs a job, and must store the results.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables for the number of threads, which a library for linear algebra reads when it is loaded."""
+"""Environment variables from which libraries for linear algebra read their number of threads when they are loaded."""
 AHEAD = 2  # jobs submitted per worker: enough to keep it busy, few enough to stop soon after Ctrl-C
-AHEAD_ON_CLUSTER = 8  # as AHEAD, but a job and its result also take time on their way
+AHEAD_ON_CLUSTER = 8  # as AHEAD; more, because jobs and results also take time on the network
 CLOSING_S = 2.0  # time limit for closing a pool whose workers were killed
 
 
@@ -56,14 +56,14 @@ class WorkerDiedError(GoneError):
 def in_parallel(
     work: Callable[[J], R], jobs: Sequence[J], workers: int | None = None
 ) -> Generator[tuple[J, R], None, None]:
-    """Yield every job with the result of `work` for it, in the order of completion.
+    """Run jobs in worker processes, and yield every job with its result, in the order of completion.
 
-    A single worker or job runs in this process. An exception of `work` is raised here, and the other jobs end. If the
-    caller stops iterating (Ctrl-C), only the running jobs are lost. Workers end with this process, for whatever reason
-    it ends.
+    With one worker or one job, everything runs in this process. An exception of `work` is raised here, and the other
+    jobs are cancelled. If the caller stops iterating (Ctrl-C), only the jobs in progress are lost. Workers end when
+    this process ends, even if it is killed.
 
     Args:
-        work: a function of a module; it and the jobs are sent to the workers.
+        work: function at module level that returns the result of a job; it and the jobs are sent to the workers.
         jobs: jobs to run.
         workers: number of processes; None means one per usable core.
 
@@ -113,7 +113,7 @@ def in_parallel(
 
 @contextlib.contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Limit processes started in this block to one thread for linear algebra, unless the user chose otherwise."""
+    """Limit processes started in this context to one thread for linear algebra, unless the environment sets another."""
     added = dict.fromkeys((name for name in BLAS_THREADS if name not in os.environ), "1")
     os.environ.update(added)
     try:
@@ -130,14 +130,14 @@ def _begin_worker(parent: int) -> None:
     end_with(parent, lambda: os._exit(1))
 
 
-# --- The same on an existing Dask cluster, for studies that outgrow one machine; needs the extra `[cluster]`
+# --- Jobs on an existing Dask cluster, for studies that are too large for one machine; needs the extra `[cluster]`
 #
 # Scheduler and workers need this package, workers one thread each (`--nthreads 1`): a job keeps one core busy. Results
-# travel back, nothing is written there. Workers may join and leave: each result carries the code that made it.
+# are sent back to the client, which stores them. Workers may join and leave: each result states the code of its worker.
 
 CONNECT_S = 10.0
 WORKERS_S = 0.5  # time between two requests for the list of workers, while jobs run
-UNLIMITED = 1_000_000
+UNLIMITED = 1_000_000  # number of threads assumed of a cluster without workers
 NEEDS_DASK = "--through dask needs Dask: pip install 'impact_rig[cluster]'"
 ROOMS = (*DECIDING, "campaign", "dynamics", "kernels", "maps")
 """Packages whose code determines the result of a job, so a cluster's workers must have the same."""
@@ -146,15 +146,15 @@ P = TypeVar("P", bound=WorkItem)
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Result of a job on a cluster, None if the worker's code differs; the worker's address and code."""
+    """Reply of a worker of a cluster to one job."""
 
-    worker: str
-    code: str
-    result: R | None
+    worker: str  # address of the worker
+    code: str  # its `code_fingerprint`
+    result: R | None  # result of the job; None if it was not run, because the worker has other code than the client
 
 
 def cluster_threads(address: str) -> int:
-    """Return the number of worker threads of a Dask cluster; `UNLIMITED` without workers, since they may still join.
+    """Return the number of worker threads of a Dask cluster; `UNLIMITED` if it has none yet, since they may still join.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -176,7 +176,7 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job on the Dask worker that this is called on, if its code is `code` (a `code_fingerprint`)."""
+    """Run a job if this Dask worker has the client's `code` (a `code_fingerprint`); return the worker's reply."""
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
     own = code_fingerprint(ROOMS)
@@ -186,8 +186,9 @@ def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
     """Return a function that runs jobs on the Dask cluster at `address`, and yields each with the result of `work`.
 
-    It waits for workers if the cluster has none. A worker with other code is reported on stderr, and its jobs are sent
-    to other workers. Jobs that fail do not stop the others; at the end the function raises an ImpactRigError for them.
+    The returned function waits for workers if the cluster has none. A worker with other code than this process is
+    reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed; then the
+    returned function raises an ImpactRigError. It also raises one if no worker has the code of this process.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -244,7 +245,7 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                             wrong[made.worker] = made.code
                             _warn(
                                 f"worker {made.worker} has impact_rig {made.code}, but this process has {code}: the "
-                                "worker is not used"
+                                "worker is not used; install the same version there"
                             )
                         again.append(job)
                     else:

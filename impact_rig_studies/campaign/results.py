@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Points of a campaign: the measurements, or the reason of a failure, at every point of every study; summary file."""
+"""Points of a campaign, each with its measurements or the reason why it has none; the file `summary.json`."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ from impact_rig_studies.campaign.plan import RESET, Planned
 from impact_rig_studies.operate.plans import Direction
 
 NAN = math.nan
-SKIPPED = "over_range"
-NOT_REACHED = "not reached"
+SKIPPED = "over_range"  # failure of a point that was skipped because a sensor was over range
+NOT_REACHED = "not reached"  # failure of a point after the end of its sweep
 IMPACTING = 0.1
-"""Impacts per cycle from which an orbit counts as impacting; a measurement may contain a few stray impacts."""
+"""Smallest number of impacts per cycle of an impacting orbit; fewer may be stray impacts in the measurement."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Point:
-    """Measurement at one frequency; values that were not measured are NaN."""
+    """Result at one drive frequency of a job; values that were not measured are NaN."""
 
     study: str
-    axes: Mapping[str, Value]  # values of its axes other than frequency, gap and current
+    axes: Mapping[str, Value]  # values of the study's axes other than frequency, gap and current, by dotted name
     reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
     gap_m: float  # gap, or `NO_SPHERE`
     current_a: float
     frequency_hz: float
-    direction: str  # reset, up or down
+    direction: str  # `reset`: the rig was reset before this frequency; `up` or `down`: part of a sweep without reset
     rows: NDArray[np.void]
-    """Settled measurements, or the one that did not settle: rows of `transmissibility/table`, shape (n,)."""
-    failure: str  # why there is no settled measurement; empty otherwise
+    """Measurements at this point, settled or not: rows of `transmissibility/table`, shape (n,)."""
+    failure: str  # why measurements are missing or did not settle; empty if all settled
     key: str  # key of the job that measured it
 
     def _mean(self, column: str) -> float:
@@ -92,7 +92,7 @@ class Point:
 
     @property
     def impacts_per_cycle(self) -> float:
-        """Impacts per drive cycle that the accelerometer shows, mean of the measurements; NaN without one."""
+        """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements; NaN without one."""
         return self._mean("impacts_per_cycle")
 
     @property
@@ -107,12 +107,12 @@ class Point:
 
     @property
     def status(self) -> str:
-        """Reason why there is no settled measurement, or else the status of the last measurement."""
+        """`failure` of the point, or the status of its last measurement if there is no failure."""
         return self.failure or str(self.rows["status"][-1].decode())
 
     @property
     def note(self) -> str:
-        """Caveat for the reader if the last measurement saw no impacts: a slow sphere may still strike; else empty."""
+        """Remark that a slow sphere may strike unnoticed, if the last measurement shows no impacts; else empty."""
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
@@ -122,9 +122,10 @@ class Point:
 
 
 def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
-    """Return one point for each frequency that a job visits, in the order of measurement.
+    """Return one point for each frequency of a job, in the order of measurement.
 
-    A job up and down visits each frequency twice. Points without a settled measurement have their `failure`.
+    With the direction `up_down` each frequency has two points. Points without all their settled measurements state the
+    reason as `failure`.
     """
     job = planned.job
     visits = job.plan().points()
@@ -166,7 +167,10 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 
 @attrs.frozen
 class Curves:
-    """Settled points of the reference rig by gap and frequency; of points shared by studies, the first counts."""
+    """Settled points of the reference rig by gap [m] and frequency [Hz]; one point for each gap and frequency.
+
+    If several studies contain the same gap and frequency, the point of the first one is kept.
+    """
 
     by_gap: Mapping[float, Mapping[float, Point]]
 
@@ -188,7 +192,7 @@ class Curves:
         return sorted(self.by_gap.get(gap_m, {}))
 
     def gaps(self) -> list[float]:
-        """Return all gaps with a settled point, ascending; without `NO_SPHERE`."""
+        """Return all gaps with a settled point, ascending; `NO_SPHERE` is left out."""
         return sorted(gap for gap in self.by_gap if gap != NO_SPHERE)
 
 
@@ -202,8 +206,8 @@ COLUMNS = (
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     """Return the points as a table: the names of the columns, and one row per point.
 
-    The columns are `COLUMNS` and then one per axis of any study. Missing measurements and the gap without sphere are
-    NaN; an axis that a study does not have is an empty text.
+    The columns are `COLUMNS`, and then one for each axis of any study. Missing measurements are NaN, and so is the gap
+    of points without the sphere. The value is an empty text if a study does not have the axis.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [
@@ -225,7 +229,7 @@ FILE_NAME = "summary.json"
 
 @attrs.frozen
 class Statement:
-    """Result of judging a statement: whether it holds, the value that decides, and the limit for that value."""
+    """Result of judging a statement: whether it holds, the value that decides this, and the limit for that value."""
 
     passed: bool
     value: float
@@ -245,8 +249,9 @@ def write_summary(
 ) -> dict[str, object]:
     """Write `summary.json`, the figures of a campaign or demo for other programs, and return them.
 
-    `lost_blocks` never reached the analysis. `wall_s` is the duration by this machine's clock, `simulated_s` by the
-    rig's. `more` are further entries of the file; those of the same name take precedence.
+    `lost_blocks` is the number of blocks of scans that never reached the analysis. `wall_s` is the duration by this
+    machine's clock, `simulated_s` in rig time. `more` has further entries of the file, which replace those of the same
+    name.
     """
     content = {
         "version": impact_rig.__version__,

@@ -11,13 +11,13 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Directory of a campaign: its content, and the results derived from it. `tasks.measure` measures what is missing.
+"""Directory of a campaign: its files, and the results derived from them. `tasks.measure` measures missing jobs.
 
 | file | content |
 |---|---|
 | `campaign.yaml` | the campaign file as it was given |
 | `configuration.yaml` | the rig that all studies start with, complete |
-| `provenance.json` | versions, machine, way of measuring |
+| `provenance.json` | versions, machine, and how the jobs were measured |
 | `points/` | one file per job, and its trace |
 | `points.csv` | every point of every study |
 | `summary.json` | figures for programs |
@@ -61,7 +61,7 @@ MAX_CALIBRATION_BYTES = 100_000
 LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "attrs", "matplotlib")
 
 Runner = Callable[[Sequence[Job]], Generator[tuple[Job, Outcome], None, None]]
-"""Way of measuring jobs, as in processes or through ROS: it yields each job with its outcome, in any order."""
+"""Function that measures jobs, in processes or through ROS: it yields each job with its outcome, in any order."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -70,12 +70,12 @@ class Finished:
 
     campaign: Campaign  # definition of the campaign
     directory: Path
-    points: list[Point]  # every point of every job with a stored result
-    outcomes: dict[str, Outcome]  # results of these jobs by job key
+    points: list[Point]  # all points of the jobs with a stored result
+    outcomes: dict[str, Outcome]  # stored results, by job key
 
     @property
     def curves(self) -> Curves:
-        """The settled points of the reference rig."""
+        """The settled points of the reference rig, by gap and frequency."""
         return Curves.of(self.points)
 
     def verdicts(self) -> list[Verdict]:
@@ -85,7 +85,7 @@ class Finished:
     def reductions(self) -> Reductions:
         """Return the reductions of DT at 9.1 Hz for those of the paper's gaps that were measured.
 
-        Without a settled point without the sphere there are none.
+        There are none if the point without the sphere at 9.1 Hz has no settled measurement.
         """
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
@@ -93,12 +93,12 @@ class Finished:
 
     @property
     def imported(self) -> bool:
-        """Return whether the points were imported from measurements of another rig, and not simulated."""
+        """Return whether the points were imported from measured files, and not simulated by this package."""
         return (self.directory / CALIBRATION_FILE).exists()
 
     @property
     def info(self) -> NDArray[np.void]:
-        """Rows of `daq/info`, which describe the instruments: those of the imported points, else the reference rig's.
+        """Rows of `daq/info` that describe the instruments: those of imported points, else those of the reference rig.
 
         Raises:
             RecordingError: the file that contains them is damaged.
@@ -124,12 +124,12 @@ class Finished:
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
-        """Return the points without a settled measurement."""
+        """Return the points without all their settled measurements (`Point.settled` is false)."""
         return [point for point in self.points if not point.settled]
 
 
 def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
-    """Return every job of a campaign once; of a job shared by several studies, the one that requests traces."""
+    """Return every job of a campaign once; if several studies contain it and any requests traces, with traces."""
     found: dict[str, Job] = {}
     for job in (one.job for one in planned):
         if job.key not in found or (job.traces and not found[job.key].traces):
@@ -138,10 +138,15 @@ def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
 
 
 def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
-    """Create the directory of a campaign and return its store; `through`, the way of measuring, is noted there.
+    """Create the directory of a campaign with its descriptive files, and return the store of its results.
+
+    Args:
+        campaign: campaign to measure.
+        directory: its directory, new or with results of the same rig.
+        through: how the jobs are measured, such as `processes`, for `provenance.json`.
 
     Raises:
-        RecordingError: the directory cannot be written, or contains something else, or results of another rig.
+        RecordingError: the directory cannot be written, or contains other files or results of another rig.
     """
     refuse_other_results(directory, "campaign", campaign.base)
     store = Store(directory)
@@ -158,7 +163,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
 
 
 def finished(campaign: Campaign, directory: Path) -> Finished:
-    """Return a campaign with all results stored in its directory, also those of other code.
+    """Return a campaign with all results stored in its directory, even if another version of the code measured them.
 
     Jobs without a stored result have no points.
 
@@ -173,7 +178,7 @@ def finished(campaign: Campaign, directory: Path) -> Finished:
 
 
 def open_finished(directory: str | Path) -> Finished:
-    """Return the campaign in a directory, with its stored results.
+    """Read the campaign in a directory, with its stored results.
 
     Raises:
         ConfigError: `directory` is not the directory of a campaign, or its campaign file is invalid.
@@ -190,9 +195,9 @@ def open_finished(directory: str | Path) -> Finished:
 
 
 def write_results(done: Finished, wall_s: float) -> dict[str, object]:
-    """Write `points.csv` and `summary.json` into the campaign's directory, and return the content of the latter.
+    """Write `points.csv` and `summary.json` into the campaign's directory, and return the content of `summary.json`.
 
-    `wall_s` is the duration of the measurement.
+    `wall_s` is the duration of the measurement by this machine's clock [s].
     """
     files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans

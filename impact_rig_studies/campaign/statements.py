@@ -13,9 +13,9 @@
 # limitations under the License.
 """The paper's qualitative statements, each judged on a campaign's points, with the strength of each verdict.
 
-A statement that cannot be judged names the points that are missing. Six constants of the rig were chosen so that the
-five reductions and these statements result (`report.build` names them). A verdict therefore has one of three kinds of
-evidence, `Worth`. `variations` shows how much a statement depends on that choice.
+If a statement cannot be judged, its verdict names the missing points. Six constants of the rig, which the paper does
+not print, were chosen so that the five reductions and these statements result (the report lists them). `Worth` states
+how much a verdict therefore proves. `variations` judges the statements with other values of these constants.
 """
 
 from __future__ import annotations
@@ -46,26 +46,26 @@ GAPS_M = tuple(REDUCTION_PERCENT)
 
 
 class Worth(enum.StrEnum):
-    """Strength of the evidence for a statement, with regard to the constants that were chosen for the rig."""
+    """Strength of the evidence for a statement, given that constants of the rig were chosen to match the paper."""
 
-    FIT = "fit"  # it holds for the chosen constants; others would break it (`margins`)
-    FOLLOWS = "follows from the fit"  # it repeats what was fitted: the natural frequency, or the five reductions
-    PREDICTION = "prediction"  # no variation of the chosen constants breaks it
+    FIT = "fit"  # it holds for the chosen constants, but not for some varied ones
+    FOLLOWS = "follows from the fit"  # it repeats a quantity that was fitted: natural frequency, or five reductions
+    PREDICTION = "prediction"  # it holds for all tried variations of the chosen constants
 
 
 class MissingError(LookupError):
-    """Error that settled points are missing which a statement needs; the message names them."""
+    """Error that a statement cannot be judged because settled points are missing; the message names them."""
 
 
 @attrs.frozen
 class Verdict:
-    """Verdict on one of the paper's statements, with the figures behind it."""
+    """Verdict on one of the paper's statements, with the numbers from which it follows."""
 
     name: str  # key in `summary.json`
     text: str
     kind: Worth  # how strong the evidence is
     result: Statement | None  # the judgement; None if points that it needs are missing
-    detail: str  # the underlying figures, or the missing points
+    detail: str  # text for the user: the numbers from which it follows, or the missing points
     unit: str  # unit of value and limit of the judgement
 
     @property
@@ -80,10 +80,11 @@ class Verdict:
 
 
 Judgement = tuple[Statement, str]
+"""Result of judging a statement, and the text of `Verdict.detail`."""
 
 
 def judge(curves: Curves) -> list[Verdict]:
-    """Return the verdict on each of the paper's seven statements for the settled points of the reference rig."""
+    """Judge each of the paper's seven statements on the settled points of the reference rig."""
     verdicts = []
     for name, kind, unit, text, judge_one in _STATEMENTS:
         result: Statement | None = None
@@ -103,7 +104,7 @@ def _need(curves: Curves, gap_m: float, frequency_hz: float) -> Point:
 
 
 def _reduction(curves: Curves, gap_m: float) -> float:
-    """Return by how many percent the sphere reduces DT at 9.1 Hz with this gap."""
+    """Return the reduction of DT by the sphere at 9.1 Hz with this gap [%], relative to DT without the sphere."""
     without = _need(curves, NO_SPHERE, FREQUENCY_HZ).dt
     return 100.0 * (1.0 - _need(curves, gap_m, FREQUENCY_HZ).dt / without)
 
@@ -175,16 +176,20 @@ def _frequency_unchanged(curves: Curves) -> Judgement:
     without = peak_hz(curves, NO_SPHERE)
     shifts = {gap: 100.0 * (1.0 - peak_hz(curves, gap) / without) for gap in GAPS_M}
     largest = max(abs(shift) for shift in shifts.values())
-    detail = f"{without:.3f} Hz without sphere; here lower by " + ", ".join(f"{shift:.2f}" for shift in shifts.values())
+    detail = f"peak at {without:.3f} Hz without sphere; lower by " + ", ".join(
+        f"{shift:.2f}" for shift in shifts.values()
+    )
     found = Statement(largest < SHIFT_LIMIT_PERCENT, largest, SHIFT_LIMIT_PERCENT)
-    return found, f"{detail} % for {', '.join(f'{gap * 1e3:g}' for gap in shifts)} mm"
+    return found, f"{detail} % with gaps of {', '.join(f'{gap * 1e3:g}' for gap in shifts)} mm"
 
 
 def peak_hz(curves: Curves, gap_m: float) -> float:
-    """Return the frequency of a curve's peak: vertex of the parabola through its highest point and both neighbours.
+    """Return the frequency of the peak of DT at one gap, in Hz, which may lie between the measured points.
+
+    It is the vertex of the parabola through the highest settled point and both its neighbours.
 
     Raises:
-        MissingError: the highest point has no neighbours within `PEAK_STEP_HZ` on both sides.
+        MissingError: the highest point has no neighbours on both sides that are `PEAK_STEP_HZ` or less apart from it.
     """
     curve = sorted(curves.by_gap.get(gap_m, {}).items())
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)
@@ -245,7 +250,7 @@ _STATEMENTS: tuple[tuple[str, Worth, str, str, Callable[[Curves], Judgement]], .
 
 @attrs.frozen(eq=False)
 class Variation:
-    """Verdicts on the statements for one rig of a campaign, which may differ from the reference rig."""
+    """Verdicts on the paper's statements for one rig of a campaign, the reference rig or one with other constants."""
 
     changed: Mapping[str, Value]
     """Values of the configuration that differ from the reference rig, by dotted name; empty for the reference rig."""
@@ -253,10 +258,10 @@ class Variation:
 
 
 def variations(points: Sequence[Point]) -> list[Variation]:
-    """Return the verdicts for every rig of a campaign on which a statement can be judged, the reference rig first.
+    """Judge the statements for every rig among a campaign's points, the reference rig first.
 
-    The list is empty if fewer than two rigs can be judged. Only points with a reset rig and a current of the reference
-    rig count.
+    Rigs for which no statement can be judged are left out; if fewer than two are left, the list is empty. Only points
+    that began with a reset of the rig, and have a current at which the reference rig was measured, are used.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}

@@ -13,9 +13,9 @@
 # limitations under the License.
 """Store of a campaign: one file per job, written completely or not at all, so a campaign can be resumed.
 
-Numbers are JSON: Python writes every double so that it reads back as the same bits, and the files are readable. Each
-file contains the key of its job and a digest of its content and trace. A file that was exchanged or changed is reported
-and not used.
+The files are JSON, so they are readable, and Python reads every number back with the same bits. Each file contains the
+key of its job and a digest of its content and trace. A file that was changed, or exchanged for that of another job, is
+reported and not used.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from impact_rig_studies.campaign.job import TRUE_COLUMNS, Job, Outcome
 FOLDER = "points"
 MAX_RESULT_BYTES, MAX_TRACE_BYTES = 10 * 2**20, 64 * 2**20
 """Size limits of a result and of a trace, since a campaign's directory may come from elsewhere."""
-MOST = 1e12  # above every figure of a measurement
+MOST = 1e12  # larger than every number in a valid measurement
 SHOWN = 60  # number of characters of a wrong value quoted in an error
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
-"""Columns of a measurement that must be > 0 if its status says that something was measured."""
+"""Columns that must be > 0 in rows whose status is one of `states.MEASURED`."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
@@ -62,7 +62,7 @@ class Store:
         directory: directory of the campaign; created if missing.
 
     Attributes:
-        damaged: messages about damaged results, which must therefore be measured again.
+        damaged: messages about damaged files found by `get`; their jobs must be measured again.
 
     Raises:
         RecordingError: the directory cannot be written.
@@ -77,11 +77,16 @@ class Store:
     def get(self, job: Job, *, as_it_is: bool = False) -> Outcome | None:
         """Return the stored outcome of a job, or None if the job must be measured.
 
-        This is so if there is no result, the file is damaged (noted in `damaged`), the result was measured with other
-        code, or it lacks a requested trace. With `as_it_is`, used to show results, code and trace do not matter.
+        A job must be measured if it has no stored outcome, if the file is damaged (noted in `damaged`), if other code
+        measured it, or if it lacks a requested trace.
+
+        Args:
+            job: the job.
+            as_it_is: whether the outcome is only shown; it is then returned also if other code measured it or a trace
+                is missing.
 
         Raises:
-            DamagedPointError: the file is damaged, and `as_it_is` is set.
+            DamagedPointError: the file is damaged, and `as_it_is` is true.
         """
         try:
             found, outcome = self._read(job)
@@ -100,7 +105,7 @@ class Store:
         return outcome
 
     def put(self, job: Job, outcome: Outcome) -> None:
-        """Write the outcome of a job, with its trace, into the job's file; an earlier outcome is replaced.
+        """Write the outcome of a job into its file, and its trace into another; an earlier outcome is replaced.
 
         Raises:
             RecordingError: the result cannot be written.
@@ -201,13 +206,16 @@ class Store:
 
 
 class _Checked:
-    """Validator of an untrusted JSON object: a missing value, a wrong type or range is a `DamagedPointError`."""
+    """Validator of an untrusted JSON object: its methods raise DamagedPointError for missing and invalid values.
+
+    `place` is the position of the object in the file, for messages, such as `rows[0].`.
+    """
 
     def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return the number under a key, which must be at least `low`, or greater if `above`."""
+        """Return the number under a key, which must be >= `low`, or > `low` if `above` is true, and <= `MOST`."""
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
             raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
@@ -230,7 +238,7 @@ class _Checked:
         return value
 
     def each(self, key: str, most: int) -> list[Mapping[str, object]]:
-        """Return the measurements in the list under a key, at most `most`, after checking the values of each."""
+        """Return the rows in the list under a key, which must be valid measurements and at most `most`."""
         rows = self.several(key)
         if len(rows) > most:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
@@ -241,7 +249,7 @@ class _Checked:
         return [row for row in rows if isinstance(row, dict)]
 
     def row(self) -> None:
-        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range."""
+        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range or null."""
         for name, words in _WORDS.items():
             if self.text(name) not in [word.value for word in words]:
                 raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")
@@ -264,13 +272,19 @@ class _Checked:
 
 
 def shortened(value: object) -> str:
-    """Return a value of a JSON file as JSON for an error message; of a long one the first `SHOWN` characters."""
+    """Return a value of a JSON file as JSON text for an error message, cut after `SHOWN` characters."""
     text = json.dumps(value, default=str)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Return the numbers of one array of an NPZ file; the length in its header is checked before use."""
+    """Read one member of an NPZ file, which must be a one-dimensional array of real numbers.
+
+    The length in the member's header is checked before the data are read.
+
+    Raises:
+        ValueError: the member is another array, or damaged.
+    """
     file = io.BytesIO(member)
     version = np.lib.format.read_magic(file)
     header: Callable[..., tuple[tuple[int, ...], bool, np.dtype[np.generic]]] | None = {
@@ -299,20 +313,21 @@ def _cell(name: str, value: object) -> object:
     return str(value).encode() if name in _TEXTS else math.nan if value is None else value
 
 
-# --- Which code a result was measured with: results of other code are shown, but never mixed with new ones
+# --- Version of the code that measured a result: results of other code are shown, but never mixed with new ones
 
 DECIDING = (
     "arithmetic", "physics", "instruments", "rig", "analysis", "config", "blocks.py", "simtime.py",
     "operate", "prediction.py", "decay.py", "reduction.py",
 )  # fmt: skip
-"""Packages and modules whose code determines a measured number; the others only command, store and show."""
+"""Packages and modules whose code determines measured numbers; the others only command, store and show."""
 
 
 @functools.cache
 def code_fingerprint(deciding: tuple[str, ...] = DECIDING) -> str:
-    """Return the version of the package, and a digest of the sources of these packages: 12 hexadecimal digits.
+    """Return the version of this package and, after a hyphen, a digest of the sources that determine results.
 
-    Names of packages and modules are relative to `impact_rig` and to `impact_rig_studies`.
+    `deciding` contains the names of these packages and modules within `impact_rig` and `impact_rig_studies`. The digest
+    has 12 hexadecimal digits.
     """
     digest = hashlib.sha256()
     for package in (Path(impact_rig.__file__).parent, Path(__file__).parents[1]):

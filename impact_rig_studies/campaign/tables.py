@@ -26,7 +26,7 @@ from impact_rig.system import extras
 
 
 def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
-    """Return a table as one array per column, by name: of texts if the column contains any, else of numbers.
+    """Convert a table to one array per column, by name; a column with at least one text becomes an array of texts.
 
     Raises:
         RecordingError: the table is empty.
@@ -41,7 +41,7 @@ def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[s
 
 
 def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
-    """Return a table with these column names and rows as a `pandas.DataFrame`.
+    """Convert a table, given by its column names and rows, to a `pandas.DataFrame`.
 
     Raises:
         ImpactRigError: pandas is not installed, or the table is empty.
@@ -53,14 +53,14 @@ def to_dataframe(names: Sequence[str], rows: Sequence[Sequence[object]]) -> Any:
 def to_xarray(
     names: Sequence[str], rows: Sequence[Sequence[object]], *, grid: Sequence[str] = (), coordinates: Sequence[str] = ()
 ) -> Any:
-    """Return a table as an `xarray.Dataset`; grid points without a row are NaN, or empty in columns of texts.
+    """Convert a table to an `xarray.Dataset`; grid points without a row are NaN, or empty in columns of texts.
 
     Args:
         names: names of the columns.
         rows: rows of the table.
-        grid: columns that are the dimensions, with at most one row per combination of their values; empty means that
-            the only dimension is `row`.
-        coordinates: columns that are coordinates along `row`, if the table has them.
+        grid: columns that become the dimensions, with at most one row per combination of their values; empty means
+            that the only dimension is `row`.
+        coordinates: columns that become coordinates along `row`, if the table has them; ignored if there is a grid.
 
     Raises:
         ImpactRigError: xarray is not installed, or the table is empty.
@@ -82,7 +82,10 @@ def to_xarray(
 def _spread(
     column: NDArray[np.generic], order: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
 ) -> NDArray[np.generic]:
-    """Return a column as an array over a grid, NaN or an empty text without a row; `order` has each row's indices."""
+    """Return a column as an array over a grid; grid points without a row are NaN, or empty in a column of texts.
+
+    `order` has one array per dimension, with the index of each row's grid point.
+    """
     filler: object = "" if column.dtype.kind == "U" else np.nan
     found = np.full(shape, filler, column.dtype if column.dtype.kind == "U" else float)
     found[order] = column

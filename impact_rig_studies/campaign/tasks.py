@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Tasks of a map or dynamics study: measured anywhere, in any order, and stored as one file each to resume a study.
+"""Tasks of a map or dynamics study, which are measured in any order; one file each, so that a study can be resumed.
 
 | file | content |
 |---|---|
-| `<what>.yaml` | the file as it was given |
-| `configuration.yaml` | the rig, complete |
+| `<what>.yaml` | the file of the study as it was given |
+| `configuration.yaml` | the complete configuration of the rig |
 | `<folder>/` | one file per task: its definition, the code that measured it, its rows |
 """
 
@@ -42,11 +42,11 @@ from impact_rig_studies.campaign.store import DECIDING, code_fingerprint
 CONFIGURATION_FILE = "configuration.yaml"
 MAX_TASK_BYTES = 64 * 2**20
 
-Row = Sequence[str | float]  # result at one grid point: words and numbers, NaN if missing
+Row = Sequence[str | float]  # result at one grid point: texts and numbers, NaN for missing numbers
 
 
 class WorkItem(Protocol):
-    """Unit of measurement, a job or a task: a value that can be sent to a worker process."""
+    """Interface of jobs and tasks, the units of measurement, which can be sent to a worker process."""
 
     @property
     def key(self) -> str:
@@ -70,10 +70,10 @@ class Task(WorkItem, Protocol):
     """Task of a map or dynamics study, whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
-        """Return rows read from a file as they were measured, after checking them.
+        """Check rows that were read from this task's file, and return them as they were measured.
 
         Raises:
-            ValueError: this task cannot have such rows.
+            ValueError: the rows cannot be a result of this task.
         """
 
 
@@ -81,7 +81,7 @@ K = TypeVar("K")
 R = TypeVar("R")
 T = TypeVar("T", bound=Task)
 Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
-"""Way of measuring tasks, as in processes or on a cluster: it yields each task with its rows, in any order."""
+"""Function that measures tasks, in processes or on a cluster: it yields each task with its rows, in any order."""
 
 
 @attrs.frozen
@@ -102,7 +102,7 @@ class TaskStore(Generic[T]):
         """Create the directory, and write the study's definition `text` and its rig `base` into it.
 
         Raises:
-            RecordingError: the directory cannot be written, or contains something else, or results of another rig.
+            RecordingError: the directory cannot be written, or contains other files or results of another rig.
         """
         refuse_other_results(self.directory, self.what, base)
         with files.translate_errors(f"cannot write {self.directory}"):
@@ -111,7 +111,7 @@ class TaskStore(Generic[T]):
             files.write_text(self.directory / CONFIGURATION_FILE, dump(base))
 
     def configuration(self) -> RigConfig:
-        """Return the configuration of the rig that the study in this directory belongs to.
+        """Read the configuration of the rig of the study in this directory.
 
         Raises:
             ConfigError: the directory is not that of such a study.
@@ -123,13 +123,13 @@ class TaskStore(Generic[T]):
         return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
-        """Return the identifier of the code that determines the results: those of other code are measured again."""
+        """Return the fingerprint of the code that determines results; results with another one are measured again."""
         return code_fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:
-        """Return the stored rows of a task; None if it must be measured.
+        """Return the stored rows of a task, or None if the task must be measured.
 
-        This is so if there are none, or if they are damaged or were measured with other code.
+        A task must be measured if it has no stored rows, or if they are damaged or other code measured them.
         """
         try:
             found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
@@ -140,7 +140,7 @@ class TaskStore(Generic[T]):
             return None
 
     def put(self, task: T, rows: Sequence[Row]) -> None:
-        """Write the rows that a task resulted in into the task's file.
+        """Write the rows that are the result of a task into the task's file.
 
         Raises:
             RecordingError: the result cannot be written.
@@ -164,17 +164,18 @@ def _number(value: object) -> str | float:
 
 
 def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:
-    """Reject a directory with other files than a study's, or with results of another rig, which would be replaced.
+    """Check that a directory is new or empty, or contains the same kind of study for the same rig.
 
-    Results without a valid `configuration.yaml` are accepted.
+    A directory without a valid `configuration.yaml` is accepted if it contains the file `<what>.yaml`.
 
     Args:
         directory: the directory.
-        what: kind of study, and name of the file that defines it.
-        rig: rig of the study.
+        what: kind of study, such as `map`, and name of the file that defines it.
+        rig: rig of the study that will be written.
 
     Raises:
-        RecordingError: it contains something else, or the configuration differs; the message names a difference.
+        RecordingError: the directory is not empty and has no file `<what>.yaml`, or it contains results of another rig;
+            the message then names a value in which the rigs differ.
     """
     if directory.exists() and any(directory.iterdir()) and not (directory / f"{what}.yaml").exists():
         raise RecordingError(f"{directory} is not empty and holds no {what}: choose another --output")
@@ -184,8 +185,8 @@ def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:
         return
     for name, value in differences(rig, kept).items():
         raise RecordingError(
-            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}, whose "
-            "results would replace them: choose another --output"
+            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}; new results would "
+            "replace them: choose another --output"
         )
 
 
@@ -197,13 +198,13 @@ def measure(
 ) -> Generator[tuple[K, R], None, None]:
     """Measure the tasks without a stored result, store the results, and yield every task with its result.
 
-    Tasks with a stored result are yielded first, each measured one as soon as it is stored.
+    Tasks with a stored result are yielded first, then each measured task as soon as its result is stored.
 
     Args:
         tasks: jobs or tasks.
-        get: returns the stored result of a task, None if it must be measured.
-        put: stores a result.
-        runner: measures tasks, in any order.
+        get: function that returns the stored result of a task, or None if the task must be measured.
+        put: function that stores the result of a task.
+        runner: function that measures tasks, and yields each with its result in any order.
 
     Raises:
         RecordingError: a result cannot be stored.
@@ -227,9 +228,13 @@ P = TypeVar("P")
 
 
 def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
-    """Read the file of a campaign, map or dynamics study, and return what `read` makes of its document and text.
+    """Read the file of a campaign, map or dynamics study, and return the plan that `read` creates from it.
 
-    `what` names the kind of file in messages.
+    Args:
+        path: path of the YAML file.
+        what: kind of file, for messages.
+        read: function that checks the parsed YAML document (first argument), and creates the plan from it; the second
+            argument is the text of the file.
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message ends with the path of the file.

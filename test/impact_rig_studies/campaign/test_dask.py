@@ -202,7 +202,7 @@ def test_workers_with_other_code_are_named_and_their_results_not_stored(cluster,
             one.terminate()
             one.wait(20)
     assert process.returncode == 0, output
-    warned = re.findall(r"worker (\S+) has impact_rig \S+, but this process has \S+: the worker is not used", output)
+    warned = re.findall(r"worker (\S+) has impact_rig \S+, but this process has \S+: the worker is not used;", output)
     assert len(warned) == len(named) == 2, output
     assert set(warned) == named
     for line in load_map(file).lines():
