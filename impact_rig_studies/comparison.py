@@ -432,7 +432,7 @@ def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
 
 
 def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
-    """Return what the fit of the constants needs and these measurements lack, as texts for the user."""
+    """Return, as texts for the user, the data that the fit of the constants needs and these measurements lack."""
     free = _gaps(rows, known) == NO_SPHERE
     has_current = np.any(rows["current_amplitude"][free if free.any() else slice(None)] > 0.0)
     needs = {"DT without the sphere": free.any(), "a measured current": has_current}

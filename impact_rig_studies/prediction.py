@@ -160,9 +160,10 @@ class Manifold:
         return found
 
     def force(self, theta: Real) -> Complex:
-        """Return N / (m ω²), complex: the fundamental of the sphere's force on the structure per displacement, scaled.
+        """Return N / (m ω²), complex: N is the fundamental of the sphere's force on the structure per displacement.
 
-        m is the mass of the sphere. The real part acts as an added mass, the negative imaginary part as damping.
+        The displacement is that of the structure; m is the mass of the sphere. The real part acts as an added mass, the
+        negative imaginary part as damping.
         """
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
@@ -178,7 +179,7 @@ class Manifold:
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return for each Θ whether small errors of the sphere's motion decay while the structure is undisturbed."""
+        """Return for each Θ whether small errors of the sphere's motion decay, with a given motion of the structure."""
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
 

@@ -72,7 +72,7 @@ class Study:
 
     @property
     def points(self) -> int:
-        """Number of measurements in the study: combinations of values times repetitions."""
+        """Number of combinations of values times repetitions; `up_down`, which measures each twice, counts once."""
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
         return self.repetitions * math.prod(map(len, axes))
 

@@ -86,7 +86,7 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 @attrs.frozen
 class TaskStore(Generic[T]):
-    """Store of the results of a study's tasks in the study's directory."""
+    """Store of the results of a study's tasks, as one file each in the study's directory."""
 
     directory: Path
     what: str  # command of the study, such as `map`, and name of the file that defines it

@@ -32,14 +32,14 @@ from impact_rig_studies.campaign.tasks import measure
 from impact_rig_studies.cli import tasks
 
 WAYS = ("process", "ros", "dask")
-SHOWN = 20  # largest number of failing points that are printed; the CSV contains all
+SHOWN = 20  # largest number of failed points that are printed; points.csv contains all
 
 
 def run_campaign(arguments: argparse.Namespace) -> int:
-    """Measure the missing points of a campaign file, write and print all results, and return the exit code.
+    """Measure the missing jobs of a campaign file, write and print all results, and return the exit code.
 
-    The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions are too far from the
-    paper; else 0.
+    The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions differ from the
+    paper's by more than the limits; else 0.
     """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
@@ -82,7 +82,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return the printed verdicts, margins and failed points as data for JSON."""
+    """Return verdicts, their values on varied rigs, and failed points, as data for JSON."""
     return {
         "verdicts": [
             {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}
@@ -123,7 +123,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the reductions next to the paper's, if any was measured; return whether all are within the limits."""
+    """Print the reductions next to the paper's; return whether all are within the limits, true if none was measured."""
     reductions = done.reductions()
     if not reductions.percent():
         return True
@@ -186,7 +186,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
 
 
 def _print_quiet(console: Console, done: run.Finished) -> None:
-    """Print how many points have a sphere but no impacts, and how slow a sphere this does not exclude."""
+    """Print at how many points the sphere did not strike, with the remark on the first one (`Point.note`)."""
     notes = [point.note for point in done.points if point.settled and point.note]
     if notes:
         console.print(f"{len(notes)} of {len(done.points)} points: the sphere did not strike ({notes[0]})")

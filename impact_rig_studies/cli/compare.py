@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Command `impact-rig compare`: a measured run, and the model with the same drive, side by side."""
+"""Command `impact-rig compare`: comparison of a measured run with the model that has the same drive."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from impact_rig.system import files
 if TYPE_CHECKING:
     from impact_rig_studies.comparison import Comparison
 
-FAR_OFF = 2.0  # standard uncertainties from which a difference is marked
+FAR_OFF = 2.0  # difference, in standard uncertainties, above which a row is marked as "differs"
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
@@ -100,7 +100,7 @@ def _print(console: Console, found: Comparison) -> None:
         cells = [gap, f"{one.frequency_hz:g}"]
         cells += rounded(row["transmissibility"], row["transmissibility_uncertainty"])
         if one.model is None:
-            table.add_row(*cells, "-", "-", "-", "the model does not settle", style="yellow")
+            table.add_row(*cells, "-", "-", "-", "the model did not settle", style="yellow")
         else:
             far = max(abs(dt), abs(phase)) > FAR_OFF
             cells += [figure(one.model["transmissibility"], ".5g"), figure(dt, "+.1f"), figure(phase, "+.1f")]
@@ -118,4 +118,4 @@ def _print(console: Console, found: Comparison) -> None:
     if found.constants is not None:
         print_identified(console, found.constants)
     elif found.missing:
-        console.print(f"constants: none can be determined; this run lacks {' and '.join(found.missing)}")
+        console.print(f"constants: none can be determined, because this run lacks {' and '.join(found.missing)}")

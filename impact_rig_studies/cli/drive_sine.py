@@ -51,12 +51,12 @@ from impact_rig_studies.operate.plans import Direction, Hold, HoldPlan, LockPlan
 from impact_rig_studies.operate.stepped_sine import ControlledSine, SteppedSine, SweepState
 
 HELD_UNITS: Mapping[str, str] = {Hold.BASE: "m", Hold.SUPERIOR: "m", Hold.CURRENT: "A"}
-SHOWN = 12  # largest number of samples of a lock that are printed; the CSV contains all
+SHOWN = 12  # approximate number of rows of a phase lock that are printed; the CSV contains all
 
 
 @contextlib.contextmanager
 def _results(arguments: argparse.Namespace) -> Iterator[Path]:
-    """Create the directory of a test's results before the measurement, so that an error costs no time, and yield it."""
+    """Create and yield the directory of a test's results, before the test: if it cannot be written, no time is lost."""
     directory = run_directory(arguments.output, arguments.test)
 
     def prepare() -> Path:
@@ -83,7 +83,7 @@ def _job(arguments: argparse.Namespace) -> Job:
 def run_hold(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
 
-    The code is 1 if a frequency was not measured, or the amplitude was not held at one.
+    The code is 1 if DT was not measured at a frequency, or the amplitude was not within the tolerance at one; else 0.
     """
     unit = HELD_UNITS[arguments.what]
     try:
@@ -96,7 +96,7 @@ def run_hold(arguments: argparse.Namespace) -> int:
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
-    """Measure DT over the frequency at constant current; return the exit code: 1 if a frequency was not measured."""
+    """Measure DT over the frequency at constant current; return the exit code: 1 if a frequency is missing, else 0."""
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
 
@@ -104,7 +104,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
     """Run a sweep over the frequency, write and print its curve, and return the exit code.
 
-    The code is 1 if a frequency was not measured, or an amplitude to be held was not.
+    The code is 1 if DT was not measured at a frequency, or a controlled amplitude was not within the tolerance; else 0.
     """
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:
@@ -153,7 +153,7 @@ def _texts(row: np.void) -> list[object]:
 def run_lock(arguments: argparse.Namespace) -> int:
     """Find a resonance by its phase, track it and measure DT there, and return the exit code.
 
-    The code is 1 if the resonance was not locked, or not long enough for a mean with its uncertainty.
+    The code is 1 if the test ended early, or was locked too briefly for a mean with its uncertainty; else 0.
     """
     config, _ = rig_of(arguments)
     plan = LockPlan(
@@ -200,7 +200,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
 
 
 def run_backbone(arguments: argparse.Namespace) -> int:
-    """Find the resonance at each of several currents, up and down; return the exit code: 1 if the test ended early."""
+    """Find the resonance at each of several currents, up and down; return the exit code, 1 if the test ended early."""
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
@@ -231,7 +231,7 @@ def run_backbone(arguments: argparse.Namespace) -> int:
 
 
 def _open(way: str, config: RigConfig, analysis: Mapping[str, Any] | None = None) -> RigDriver:
-    """Return a new rig: in this process if `way` is `process`, else as ROS nodes in lockstep.
+    """Create a new rig: in this process if `way` is `process`, else as ROS nodes in lockstep.
 
     `analysis` are the parameters of its analysis; None means no analysis.
     """

@@ -37,11 +37,11 @@ from impact_rig.system.endings import defer_signals
 from impact_rig_studies.cli.parsers import EXCITATION, SI
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig and yields its latest results
+Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig, and yields its result so far repeatedly
 
 
 def run_play(arguments: argparse.Namespace) -> int:
-    """Drive the rig with a signal of a file or run; return the exit code: 1 if it ended early or has no result."""
+    """Drive the rig with a signal of a file or run; return the exit code, 1 if it ended early or has no result."""
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -140,14 +140,18 @@ def _progress() -> Console:
 
 
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
-    """Drive a rig, write its run and the results however the test ends, print them, and return the exit code.
+    """Run a test on a rig, record it, write and print its results even if it ends early, and return the exit code.
 
     Args:
         arguments: parsed arguments of the test.
         title: title of the results.
         unit: unit of the response.
-        work: function that drives the rig, and yields its latest results.
+        work: function that drives the rig, and yields its result so far repeatedly.
         of: text after a line of progress, such as ` of 20`.
+
+    Raises:
+        ConfigError: the configuration does not drive the shaker with a current.
+        ImpactRigError: the test ended before its first result.
     """
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 

@@ -72,7 +72,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
             tell_json([_paper_content(fit) for fit in fits])
         return 0
     if arguments.directory is None:
-        raise ConfigError("a campaign's directory is needed (or --paper), e.g. runs/campaign_paper")
+        raise ConfigError("the directory of a campaign is needed, e.g. runs/campaign_paper, or the option --paper")
     if not 0.0 <= arguments.e_uncertainty <= 1.0:
         raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
     done = run.open_finished(arguments.directory)
@@ -99,7 +99,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
-    """Return the available data for a fit (free decay, stepped sine, reductions) without those left out; print them.
+    """Return and print the data for a fit: free decay, stepped sine and reductions, unless missing or left out.
 
     Raises:
         ImpactRigError: the free decay cannot be measured.
@@ -139,7 +139,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
 
 
 def print_identified(console: Console, found: Identified) -> None:
-    """Print the identified constants with their uncertainties, and whether data and model agree."""
+    """Print the identified constants with their uncertainties, and warn if the model does not explain the data."""
     table = TextTable("Constants of the rig", left=("constant",), right=("value", "± 2u"), last=("unit", ""))
     for name, unit in zip(NAMES, UNITS, strict=True):
         if found.information.determined(name):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def run_import(arguments: argparse.Namespace) -> int:
     """Import files as runs, or as one campaign, print how, and return the exit code, 0.
 
-    If a file is rejected, its error is raised, and nothing is written, not even the files before it.
+    If a file is rejected, its error is raised, and nothing is written, not even runs of the files before it.
     """
     from impact_rig_studies.importing import store  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import guess  # noqa: PLC0415  # as above
@@ -137,7 +137,7 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
 
 
 def _print_source(console: Console, source: ImportedSignals) -> None:
-    """Print the signals of a file without channels, for a dry run in which the assignment failed."""
+    """Print the signals of a file without their channels, for a dry run in which the conversion failed."""
     table = TextTable(
         f"{source.path}: {source.format}", left=("signal", "unit", "kind", "given over"), right=("values",)
     )
@@ -158,7 +158,7 @@ def _missing(found: ImportedRun) -> list[str]:
 
 
 def _print(console: Console, found: ImportedRun) -> None:
-    """Print how a file is imported: signals and channels, assumptions, omitted parts, scans, drive and labels."""
+    """Print how a file is imported: channel of each signal, omissions, assumptions, scans, drive, gap and remarks."""
     from impact_rig.analysis.settings import parse_label  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.importing.assignment import reason_unused  # noqa: PLC0415  # as above
 

@@ -40,7 +40,7 @@ SHOWN = {
     plans.EXPONENT: plans.COLUMNS[plans.EXPONENT][1:],
 }
 """Columns of a study's rows that the terminal shows after the parameter, by kind of study."""
-MOST_ROWS = 40
+MOST_ROWS = 40  # largest number of rows that the terminal shows
 EXPONENTS = "exponents"  # folder of the exponents in a map's directory
 
 
@@ -81,7 +81,8 @@ def run_map(arguments: argparse.Namespace) -> int:
     )
     if unsolved == plan.points:
         console.print(
-            f"the motion could not be resolved at any of the {plan.points} points: there is no result", style="red"
+            f"the motion could not be simulated at any of the {plan.points} points: check the ranges in the file",
+            style="red",
         )
     tell_results(directory, {"points": plan.points, **more}, as_json=arguments.json)
     return 1 if unsolved == plan.points else 0
@@ -90,8 +91,15 @@ def run_map(arguments: argparse.Namespace) -> int:
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
     """Add the largest Lyapunov exponents, with their standard uncertainties, to the values of a finished map.
 
-    Only motions that are not periodic have one. `runner` computes missing exponents; None means that only stored ones
-    are added. The result is the number of points with an exponent.
+    Only motions that are not periodic have an exponent; other points are NaN.
+
+    Args:
+        done: the map, whose values are extended.
+        console: console for the progress.
+        runner: function that computes missing exponents; None means that only stored ones are added.
+
+    Returns:
+        The number of points with an exponent.
     """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():
@@ -164,16 +172,16 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
     empty = _unsolved(plan, rows) == len(rows)
     if empty:
         console.print(
-            f"the motion could not be resolved for any of the {len(rows)} rows: there is no result", style="red"
+            "no motion could be resolved, so there is no result: check the values and starts in the file", style="red"
         )
     tell_results(directory, content, as_json=arguments.json)
     return 1 if empty else 0
 
 
 def _special(done: plans.FinishedStudy) -> list[dict[str, object]]:
-    """Return the rows to print by column: all, but of a continued branch only those with an event, such as a fold.
+    """Return the key rows of a study as mappings from column to value, with None for NaN.
 
-    NaN becomes None.
+    These are all rows, but of a continued branch only those with an event, such as its start or a fold.
     """
     names, rows = done.table()
     named = [dict(zip(names, row, strict=True)) for row in rows]
@@ -192,7 +200,7 @@ def _unsolved(plan: Plan, rows: list[Row]) -> int:
 
 
 def _summary(done: plans.FinishedStudy) -> dict[str, object]:
-    """Return the key figures of a study as data for JSON: shares of a basin, failures, or the printed rows."""
+    """Return the key results of a study as data for JSON: shares of a basin, number of failed rows, or key rows."""
     plan, rows = done.plan, done.rows
     if plan.kind == plans.BASIN:
         from impact_rig_studies.dynamics.figures import motion  # noqa: PLC0415  # as above
@@ -212,7 +220,7 @@ def _summary(done: plans.FinishedStudy) -> dict[str, object]:
 
 
 def _wilson(count: int, total: int) -> list[float]:
-    """Return Wilson's interval of 95 % coverage for a share of which `count` of `total` trials are seen."""
+    """Return lower and upper limit of Wilson's 95 % interval for a share, estimated as `count` of `total` trials."""
     from scipy.stats import binomtest  # noqa: PLC0415  # slow to import
 
     interval = binomtest(count, total).proportion_ci(0.95, "wilson")
@@ -228,7 +236,7 @@ def _show(console: Console, done: plans.FinishedStudy) -> None:
             f"(95 % interval {100.0 * low:.2f} to {100.0 * high:.2f} %)"
         )
     if "failed_rows" in summary:
-        console.print(f"{summary['failed_rows']} of {len(rows)} rows could not be resolved")
+        console.print(f"{summary['failed_rows']} of {len(rows)} rows have no result: the motion cannot be simulated")
     if plan.kind not in SHOWN:
         return
     special = [row for row in _special(done) if not str(row.get("event", "")).startswith(plans.NO_ORBIT)]

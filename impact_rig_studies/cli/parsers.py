@@ -54,12 +54,11 @@ def add_demo(commands: Commands) -> None:
         "recorder as ROS processes",
         [
             ("demo", "three processes, six runs recorded below runs/, a table and a figure"),
-            ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other instruments, read faster"),
+            ("demo --scan-rate 50000 --seed 7 --output runs/fast", "other calibration errors, more scans per second"),
         ],
-        "--output must be new or empty. The last line is the directory of the results. Exit code 0: every reduction is "
-        "within 3 points of the paper "
-        "and grows with the gap, DT without sphere is as in theory, and no block was lost; 1: a check failed, which is "
-        "named.",
+        "--output must be new or empty. The last line is the directory of the results. Exit code 0: every reduction "
+        "differs from the paper's by at most 3 percentage points, the reductions grow with the gap, DT without sphere "
+        "agrees with theory within 2 %, and no block of scans was lost; 1: a check failed, which is named.",
     )
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
@@ -78,7 +77,7 @@ def add_compare(commands: Commands) -> None:
         commands,
         "compare",
         "impact_rig_studies.cli.compare:run_compare",
-        "compare a measurement with the model, and fit the model's constants",
+        "compare a measurement with the model driven in the same way, and fit the model's constants",
         [
             ("compare runs/mine --config my_rig.yaml", "the model of that rig, driven by the measured current"),
             ("compare runs/mine --drive base --figures build/mine", "driven by the measured base, with a figure"),
@@ -89,7 +88,7 @@ def add_compare(commands: Commands) -> None:
     )
     add_json(parser)
     add_run(parser)
-    add_config(parser, "configuration of the model (default: that in the run, else the paper's rig)")
+    add_config(parser, "configuration of the model (default: that stored in the run, else the paper's rig)")
     parser.add_argument(
         "--drive",
         choices=("current", "base"),
@@ -155,8 +154,8 @@ def add_import(commands: Commands) -> None:
         default=[],
         metavar="NAME=SIGNAL",
         help="signal of the file to use as a channel (laser, base, accelerometer or current), with unit and "
-        "sensitivity if the file has none: laser=ai0, laser='ai0 mm', laser='ai0 V, 500 mV/mm'. With laser= the "
-        "channel is left out",
+        "sensitivity if the file has none: laser=ai0, laser='ai0 mm', laser='ai0 V, 500 mV/mm'. An empty signal, "
+        "as in laser=, leaves the channel out",
     )
     parser.add_argument(
         "--scan-rate",
@@ -196,8 +195,8 @@ def add_import(commands: Commands) -> None:
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="table of the instruments' calibration: columns of daq/info, one row per channel (default: estimated from "
-        "the data, else exact)",
+        help="table of the instruments' calibration: columns of daq/info, one row per channel (default: properties "
+        "estimated from the data where possible, and else instruments without errors)",
     )
     parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
     parser.add_argument(
@@ -253,7 +252,7 @@ def _add_play(tests: Commands) -> None:
         "drive the rig with a signal of a file or of a run",
         [
             ("drive play road.csv --signal drive --scale 0.5", "half of a column, resampled to the rig's rate"),
-            ("drive play runs/demo/gap_6mm --seconds 30", "the current that a recorded run measured"),
+            ("drive play runs/demo/gap_6mm --seconds 30", "the measured current of a recorded run"),
         ],
         STREAM_ENDING,
     )
@@ -337,7 +336,7 @@ def _add_replicate(tests: Commands) -> None:
         [("drive replicate road.csv --signal x_b --unit mm", "the motion of the base follows the column x_b")],
         STREAM_ENDING,
     )
-    _add_signal(parser, "the one that follows")
+    _add_signal(parser, "the one that measures the controlled motion")
     parser.add_argument(
         "--plan",
         type=Path,
@@ -371,7 +370,7 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
     )
     parser.add_argument(
-        "--unit", default="", metavar="UNIT", help="unit of a file's values (default: the file's, else SI)"
+        "--unit", default="", metavar="UNIT", help="unit of a file's values (default: the unit in the file, else SI)"
     )
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
@@ -533,7 +532,7 @@ def add_campaign(commands: Commands) -> None:
         "measure all points of a campaign file; run again to resume",
         [
             ("campaign config/paper.yaml", "the whole paper, on all cores"),
-            ("campaign config/paper.yaml --only curves --check", "its 60 points; exit code 1 if they are wrong"),
+            ("campaign config/paper.yaml --only curves --check", "its curves, 60 points; exit code 1 if a check fails"),
             ("campaign my.yaml --through ros --record --output runs/mine", "with ROS nodes, and recordings"),
         ],
         "The last line is the directory of the results; `impact-rig report` makes a page of it. Exit code 0, also if "
@@ -657,7 +656,8 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         nargs="+",
         default=[PROCESS],
         metavar="WAY",
-        help=f"way of measuring: process (all cores; default){other_way} or dask ADDRESS (a Dask cluster)",
+        help=f"way of measuring: process (on all cores of this machine; default){other_way} or dask ADDRESS (a Dask "
+        "cluster)",
     )
     add_output(parser, f"directory of the results; those already in it are kept (default: runs/{command}_<file>)")
     parser.add_argument(
@@ -684,7 +684,8 @@ def add_identify(commands: Commands) -> None:
             ("identify --paper", "what the paper's own numbers determine"),
         ],
         "Writes identification.json into DIR, and identified.yaml, a configuration with the constants, if the data "
-        "determine all of them and the model explains the data. Exit code 0 in any of these cases.",
+        "determine all of them and the model explains the data. Exit code 0, whether identified.yaml was written or "
+        "not.",
     )
     add_json(parser)
     parser.add_argument(
@@ -711,7 +712,7 @@ def add_identify(commands: Commands) -> None:
         default=(),
         metavar="DATA",
         help="data not to use: decay (free decay), sine (displacement transmissibility DT without sphere), "
-        "reductions (DT with it)",
+        "reductions (DT with the sphere)",
     )
     parser.add_argument(
         "--e-uncertainty",

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Common parts of the commands `campaign`, `map` and `dynamics`: arguments, way of measuring, progress."""
+"""Common parts of the commands `campaign`, `map` and `dynamics`: their arguments, running of tasks, progress."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def words(
 ) -> tuple[Path, Path, str, str]:
     """Return the arguments of a command: file, directory of the results, way of measuring, address of a Dask cluster.
 
-    The file may also follow `--through` and its arguments. The directory is absolute; the address is empty unless the
-    way is `dask`.
+    The way of measuring is the first word after `--through`, one of `ways`. The file may also follow `--through` and
+    its arguments. The directory is absolute; the address is empty unless the way is `dask`.
 
     Args:
         arguments: parsed arguments of the command.
@@ -84,9 +84,9 @@ def runner(
 def measure(
     tasks: Sequence[T], store: TaskStore[T], runner: Runner[T], console: Console, places: Callable[[T], int]
 ) -> tuple[int, float]:
-    """Measure the tasks without a stored result, and show the progress.
+    """Measure the tasks without a stored result, store the results, and show the progress.
 
-    `places` returns the number of points of a task.
+    `places` is a function that returns the number of points of a task.
 
     Returns:
         (number of points measured now, duration [s]).

@@ -14,8 +14,8 @@
 """Studies of the model's nonlinear dynamics, defined by one YAML file with a section for each kind in `KINDS`.
 
 They compute Poincaré sections, bifurcation diagrams, basins of attraction, periodic orbits with their energy per cycle,
-branches of orbits, and Lyapunov exponents. All results concern the mechanics alone, with exactly located impacts and
-without sensors or noise, and are labelled so.
+branches of orbits, and Lyapunov exponents. All results are those of the mechanics alone, with exactly located impacts
+and without sensors or noise; tables, figures and messages say so.
 """
 
 KINDS = ("section", "bifurcation", "basin", "orbit", "continue", "exponent")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MARKS = {"fold": "o", "symmetry": "D", "flip": "s", "torus": "^", "grazing": "v", "lost": "x"}
-"""Matplotlib marker for each kind of change along a branch of orbits, and for the end of a branch (`lost`)."""
+"""Event of a row on a branch of orbits (a kind of change, or `lost` at its end) -> Matplotlib marker."""
 LABELS = {
     FREQUENCY: ("frequency (Hz)", 1.0),
     CURRENT: ("current (A)", 1.0),
@@ -67,7 +67,7 @@ def column(plan: Plan, rows: Sequence[Row], name: str) -> NDArray[np.float64]:
 def label_of(name: str) -> tuple[str, float]:
     """Return the axis label of a parameter with its unit, and the factor from SI to that unit.
 
-    A configuration value by its dotted name is its own label and has the factor 1.
+    For a configuration value, the label is its dotted name and the factor is 1.
     """
     return LABELS.get(name, (name, 1.0))
 
@@ -224,10 +224,10 @@ def _exponent(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 
 
 _DRAWERS: Mapping[str, tuple[Callable[[Sequence[Axes], Plan, Found], None], int, str]] = {
-    plans.SECTION: (_section, 1, "one point a cycle."),
-    plans.BIFURCATION: (_bifurcation, 2, "one point a cycle, after the motion has settled."),
+    plans.SECTION: (_section, 1, "one point per cycle of the drive."),
+    plans.BIFURCATION: (_bifurcation, 2, "one point per cycle of the drive, after the motion has settled."),
     plans.BASIN: (_basin, 1, "the motion that each start of the sphere leads to, the rest of the rig at rest."),
-    plans.ORBIT: (_orbit, 1, "stable within the circle."),
-    plans.CONTINUE: (_continue, 2, "stable drawn through, unstable dotted."),
+    plans.ORBIT: (_orbit, 1, "an orbit is stable if its largest multiplier lies within the circle."),
+    plans.CONTINUE: (_continue, 2, "stable orbits are solid lines, unstable ones dotted."),
     plans.EXPONENT: (_exponent, 1, "bars are two standard uncertainties."),
 }

@@ -16,7 +16,7 @@
 The map f gives the state of the motion one return (one or several cycles of the drive) after the state z. It is a
 function of dimensionless coordinates z, shape (n,), and of one dimensionless parameter p. It must be smooth only near
 the orbit: derivatives are central differences. For an orbit that repeats after several returns, f comprises all of
-them. It returns NaN if the state does not determine the motion, because the sphere is in contact with a wall.
+these returns. f returns NaN if the state does not determine the motion, because the sphere is in contact with a wall.
 
 A branch is a curve of orbits over p. It is followed by pseudo-arclength continuation (Keller 1977): the next orbit is
 searched for in the plane perpendicular to the tangent of the branch, so that it can be followed around a fold. The
@@ -27,9 +27,9 @@ multipliers (eigenvalues of ∂f/∂z) distinguish stable from unstable orbits, 
                the two half cycles become different              a second frequency appears
     grazing    multipliers jump over 1 or −1: an impact appears or disappears; close to it they grow without bound
 
-A branch of period-doubled or asymmetric orbits also turns back where these orbits begin to exist. It continues there
-as the same orbits, with their state taken half a period later, or as their mirror images. The argument `born` of
-`followed` distinguishes such a turn from a fold.
+A branch of period-doubled or asymmetric orbits also turns back where these orbits begin to exist. After the turn it
+consists of the same orbits, with their state taken half a period later, or of their mirror images. The argument `born`
+of `followed` distinguishes such a turn from a fold.
 
 H. B. Keller (1977), "Numerical solution of bifurcation and nonlinear eigenvalue problems", in P. H. Rabinowitz (ed.),
 Applications of Bifurcation Theory, Academic Press, 359–384.
@@ -52,16 +52,16 @@ Map = Callable[[Real, float], Real]
 # step of the differences: their truncation error is proportional to its square, the error by rounding and by the
 # tolerance of the contacts to its reciprocal
 STEP = 1e-6
-TOLERANCE = 1e-10  # largest component of f(z, p) − z up to which z is an orbit
+TOLERANCE = 1e-10  # largest component of f(z, p) − z with which z counts as a fixed point
 ROUNDS = 14  # maximum number of Newton steps
-_SHORTEST = 2.0**-6  # fraction to which a Newton step is shortened at most while it increases the residual
-ROUNDED = 1e-8  # tolerance if no step reduces the residual, as rounding and contacts limit it: many impacts
-_GIVEN_UP = 1e-5  # step along a branch below which the branch counts as lost
+_SHORTEST = 2.0**-6  # smallest fraction to which a Newton step that increases the residual is shortened
+ROUNDED = 1e-8  # tolerance if every step increases the residual, as with many impacts, where rounding errors limit it
+_GIVEN_UP = 1e-5  # smallest step along a branch; if it fails too, the branch counts as lost
 _GROWTH = 1.4  # factor of the step along a branch after a success
 _TURN = 0.97  # cosine of the angle between successive tangents, below which a step was too long
-_LOCATED = 1e-9  # fraction of a step to which a bifurcation is located
+_LOCATED = 1e-9  # accuracy with which a bifurcation is located, as a fraction of a step along the branch
 NEUTRAL = 1e-4  # imaginary part above which a multiplier counts as one of a complex pair
-# largest distance of a bifurcation's multiplier from the point it passes; otherwise it has jumped over it
+# largest distance of the multiplier at a located bifurcation from 1, −1 or the unit circle; a larger one is a jump
 PASSING = 1e-3
 LASTING, FOLD, SYMMETRY, FLIP, TORUS, GRAZING = "stable", "fold", "symmetry", "flip", "torus", "grazing"
 PASSED = {SYMMETRY: 1.0, FLIP: -1.0}
@@ -140,9 +140,9 @@ def jacobian(f: Map, z: Real, p: float) -> Real:
 
 
 def orbit(f: Map, z: Real, p: float) -> Orbit | None:
-    """Return the periodic orbit (fixed point of the map f) near z at the parameter p, found by Newton's method.
+    """Find the periodic orbit (fixed point of the map f) near z at the parameter p by Newton's method.
 
-    Returns None if the method does not converge, or the motion near the orbit is undetermined.
+    Returns None if the method does not converge, or f is NaN near the orbit.
     """
     return _corrected(f, z, p, None)
 
@@ -165,15 +165,15 @@ def followed(
         f: the map z → f(z, p) whose fixed points are the orbits.
         start: an orbit on the branch.
         way: initial direction: 1.0 towards larger p, −1.0 towards smaller p.
-        limits: smallest and largest p; at an end of this range the last orbit is searched for exactly there.
+        limits: smallest and largest p; if the branch reaches one of them, its last orbit is computed exactly there.
         longest: largest step along the branch in the space (z, p).
         points: maximum number of orbits, without `start`.
         born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn: `FLIP` or
             `SYMMETRY` if the orbits of the branch begin to exist there, else `FOLD`.
         noted: returns the `note` of an orbit. It is called for each orbit before `moved` may change the coordinates.
-        moved: changes the coordinates of `f` if its section has come too close to an impact. It receives the points
-            (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or None if
-            nothing changes.
+        moved: changes the coordinates of `f` if its section is too close to an impact of the newest orbit. It receives
+            the points (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or
+            None if nothing changes.
     """
     orbits: list[Orbit] = []
     changes: list[BranchChange] = []
@@ -212,10 +212,10 @@ def followed(
 
 
 def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
-    """Return the orbit near the guess (z, p), found by Newton's method, or None if the method does not converge.
+    """Find the orbit near the guess (z, p) by Newton's method; return None if the method does not converge.
 
-    It is searched for in the plane through the guess perpendicular to `tangent`, so that p changes too; without a
-    tangent, p is fixed.
+    With a `tangent`, the orbit is searched for in the plane through the guess that is perpendicular to the tangent, so
+    that p changes too. Without a tangent, p is fixed.
     """
     y = origin = np.append(z, p)
     residual = f(z, p) - z
@@ -247,7 +247,7 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
     """Return the matrix of Newton's method for the unknowns y = (z, p), shape (n + 1, n + 1).
 
-    The first n rows are the derivatives of f(z, p) − z. The last row is the tangent, or fixes p without one.
+    The first n rows are the derivatives of f(z, p) − z. The last row is the tangent; without a tangent it fixes p.
 
     Raises:
         numpy.linalg.LinAlgError: a derivative is not finite, because a neighbour of y is undetermined.
@@ -284,7 +284,7 @@ def _orbit_at(f: Map, y: Real) -> Orbit | None:
 def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
     """Yield the bifurcations between two successive orbits of a branch, each located where its test function is zero.
 
-    `born` decides whether a turn in p is a fold, see `followed`.
+    `born` classifies a turn of the branch in p, see `followed`. Bifurcations that cannot be located are left out.
     """
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Plans of dynamics studies: validate a section of a YAML file, divide it into tasks, and run and store them.
+"""Plans of dynamics studies: validation of a section of a YAML file, its division into tasks, running and storing.
 
 Tasks are independent of one another, so that several processes can run them in any order.
 """
@@ -75,8 +75,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 `value` is the value of the parameter [SI]. On a branch, `event` is `start`, `orbit`, the kind of change there, or the
 reason why the branch ends there; in a study of one orbit it is the kind of stability. A start from which no orbit is
 found has one row, whose event is `NO_ORBIT` with the reason, and whose numbers are NaN. Multipliers are sorted, the
-largest first, NaN where there are fewer. State values are those at the section, the phase `turn` of the drive.
-`settled_cycles` is the number of cycles from which regime and DT were read before an exponent was measured.
+largest first; columns without a multiplier are NaN. State values are those at the section, where the phase of the
+drive is `turn`. `settled_cycles` is the number of cycles from which regime and DT were measured, before the exponent.
 """
 NAMES = (FREQUENCY, CURRENT, GAP)
 UNRESOLVED = "the motion cannot be simulated"
@@ -120,7 +120,7 @@ class StudyTask(HashedTask):
         """Check rows that were stored for this task, and return them.
 
         Raises:
-            ValueError: a row has not as many columns as those of this kind of study.
+            ValueError: a row does not have the number of columns of this kind of study.
         """
         columns = len(COLUMNS[self.kind])
         if any(len(row) != columns for row in rows):
@@ -153,7 +153,7 @@ class FinishedStudy:
     """Dynamics study with the results that are stored of it, possibly not of all its tasks."""
 
     plan: Plan
-    found: Found  # each task with its rows of results; no rows for a task that has not been run
+    found: Found  # each task with its rows of results, empty for a task without stored results
 
     @property
     def rows(self) -> list[Row]:
@@ -194,9 +194,9 @@ class FinishedStudy:
 
 
 def _front(task: StudyTask, number: int) -> dict[str, object]:
-    """Return the values that identify a task in a table of all tasks, by name of the column, see `table`.
+    """Return the values of the columns that identify a task in a table of all tasks, by name, see `table`.
 
-    `number` is that of the task in its plan, from 1.
+    `number` is the number of the task in its plan, from 1.
     """
     if task.kind == BASIN:
         return {}
@@ -211,7 +211,8 @@ def _front(task: StudyTask, number: int) -> dict[str, object]:
 def direction_of(task: StudyTask) -> str:
     """Return the order in which a task of a bifurcation diagram visits its parameter values: `up`, `down` or `reset`.
 
-    With up and down each value continues from the motion at the previous one; with reset each starts from rest.
+    With `up` and `down` the motion at each value continues from that at the previous value; with `reset` each motion
+    starts from rest.
     """
     values = task.what["values"]
     assert isinstance(values, Sequence)
@@ -291,8 +292,8 @@ def exponent_at(line: MapLine, value: float) -> StudyTask:
     """Return a task that computes the largest Lyapunov exponent of the motion at one point of a map.
 
     Args:
-        line: line of a map whose points each start from rest.
-        value: value of the line's axis at the point.
+        line: line of the map on which the point lies; each of its points starts from rest.
+        value: value of the parameter that varies along the line, at the point.
     """
     changes, frequency, current, sphere = line.place(value)
     changes = {**line.changes, **changes}
@@ -457,7 +458,7 @@ def named(start: object) -> str:
 
 
 def _begun(place: Place, start: Start, settings: Settings) -> MapRig:
-    """Return a new rig at rest at a point of parameter space, with its sphere at a start."""
+    """Return a new rig at rest, at a point of parameter space, with its sphere at the position and speed `start`."""
     config = place.config
     rig = MapRig(from_flat(config, {"sphere.start": start}) if isinstance(start, str) else config, settings)
     rig.reset(None if isinstance(start, str) else (start[0], start[1]))
@@ -574,7 +575,7 @@ def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) 
 
 
 def _without_orbit(value: float, reason: SimulationError) -> Row:
-    """Return the row of a start from which no orbit is found."""
+    """Return the row of results for a start from which no orbit is found, at the parameter `value`."""
     return (value, f"{NO_ORBIT}{reason}", *[math.nan] * (len(_ORBIT) - 2))
 
 
@@ -623,7 +624,8 @@ def _attractors(
 ) -> list[tuple[str | float, ...]]:
     """Return the periodic motions with impacts to which starts on a coarse grid of a basin lead.
 
-    A task of the basin ends a motion as soon as it approaches one of these, which saves most of its simulation.
+    A task of the basin ends the simulation of a start as soon as it approaches one of these motions, which saves most
+    of the time.
 
     Returns:
         For each motion, without duplicates: DT, impacts per cycle, period in cycles, and then the seven values of
@@ -703,7 +705,7 @@ def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float
     Impacts have ceased if there is none in `CHUNK` cycles.
 
     Returns:
-        Index of the attractor in `attractors`, or −1 if it approaches none, and the number of simulated cycles.
+        Index of the attractor in `attractors`, or −1 if the motion approaches none, and the number of simulated cycles.
 
     Raises:
         SimulationError: the motion cannot be simulated.

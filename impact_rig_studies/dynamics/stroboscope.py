@@ -81,8 +81,8 @@ class Properties(NamedTuple):
     impacts_per_cycle: float  # number of impacts per cycle of the drive, including weak ones
     slowest_m_s: float  # approach speed of the slowest impact; NaN without one
     loss_factor: float  # loss factor of the damper from energy: its loss per cycle over π m_1 ω² |X_1|²
-    dt_loss_factor: float  # the same from DT and its phase: −Im N / (m_1 ω²), N force of the sphere on m_1 over X_1
-    added_mass: float  # mass by which the damper appears to increase m_1, as its share: Re N / (m_1 ω²)
+    dt_loss_factor: float  # loss factor from DT and phase: −Im N / (m_1 ω²), N is the sphere's force on m_1 over X_1
+    added_mass: float  # mass by which the damper appears to increase m_1, as a share of m_1: Re N / (m_1 ω²)
     energy: Energy  # energies per cycle of the drive
 
 
@@ -96,14 +96,14 @@ class OrbitSummary(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Derivatives of the transmissibility on an orbit by the rig's parameters, for a fit to measurements."""
+    """Derivatives of the transmissibility on an orbit with respect to parameters of the rig, for a fit."""
 
     by: Real  # derivatives of ln(|X_1| / |X_b|) of the fundamentals by each parameter, shape (number of parameters,)
     stable: bool  # whether all multipliers of the orbit are inside the unit circle
 
 
 BORN = 1e-4
-"""Largest difference in a coordinate up to which an orbit is the same as half a period later, or as its mirror image.
+"""Largest coordinate difference of an orbit that counts as equal to itself, or its mirror image, half a period later.
 """
 
 
@@ -134,7 +134,7 @@ class Stroboscope:
         self._found = functools.lru_cache(maxsize=8)(self._find)
 
     def _find(self, p: float) -> tuple[Place, Model]:
-        """Return the rig at the dimensionless parameter p, and its compiled model; `_found` caches the newest ones.
+        """Return the rig at the dimensionless parameter p, and its compiled model; `_found` caches the last results.
 
         If only the drive differs from that of the original rig, the model is the original one.
         """
@@ -142,10 +142,10 @@ class Stroboscope:
         return place, self._model if place.config is self._place.config else build(place.config)
 
     def __call__(self, z: Real, p: float, returns: int = 1) -> Real:
-        """Return the coordinates that follow z, at the dimensionless parameter p, after `returns` returns of the map.
+        """Return the coordinates that z leads to after `returns` returns of the map, at the dimensionless parameter p.
 
         One return takes `cycles` cycles of the drive. The result has the shape of z, (n,).
-        They are NaN if the sphere is then in contact with a wall, if the motion cannot be simulated, or if an impact
+        It is NaN if the sphere is then in contact with a wall, if the motion cannot be simulated, or if an impact
         occurs in a motion that had none when the coordinates were chosen.
         """
         try:
@@ -155,14 +155,14 @@ class Stroboscope:
         return np.full(len(z), math.nan) if self._quiet and len(motion.impacts) else self._coordinates()
 
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
-        """Return the coordinates of a settled motion, after choosing period, scale and section of the map for it.
+        """Choose period, scale and section of the map for a settled motion, and return its coordinates at the section.
 
-        This advances the motion by its period and on to the section.
+        This advances the motion of `rig` by its period, and then on to the section.
 
         Args:
             rig: the rig with the settled motion.
             p: dimensionless parameter at which it was measured.
-            reading: measurement of the motion, with its impacts and period; if that is NaN, one cycle counts as period.
+            reading: measurement of the motion; if its period is NaN, one cycle is used as the period of the map.
 
         Raises:
             SimulationError: the motion cannot be simulated, or the sphere is in contact with a wall at the section.
@@ -195,8 +195,8 @@ class Stroboscope:
             points: points (z, p) of a branch, the newest last.
 
         Returns:
-            The coordinates z of the same motions at the new section, NaN for one in contact there; None if the section
-            is unchanged.
+            The coordinates z of the same motions at the new section, NaN for a motion with the sphere in contact there;
+            None if the section is unchanged.
         """
         motion = self._run(*points[-1], self.cycles)
         turns = motion.impacts["offset"] / motion.segments["duration"][0]
@@ -217,8 +217,8 @@ class Stroboscope:
             turn: the orbit at the turn.
 
         Returns:
-            `FLIP` if the orbit at the turn, unlike `here`, already repeats after half of the period, `SYMMETRY` if it,
-            unlike `here`, is its own mirror image, else `FOLD`.
+            `FLIP` if the orbit at the turn repeats after half of the period and `here` does not, `SYMMETRY` if the
+            orbit at the turn is its own mirror image and `here` is not, else `FOLD`.
         """
         for kind, returned in ((FLIP, self._halved), (SYMMETRY, self._mirrored)):
             if returned(turn) < BORN < returned(here):
@@ -229,8 +229,8 @@ class Stroboscope:
         """Return the stability of an orbit as `Orbit.kind`, with `SYMMETRY` where the mirror symmetry is lost.
 
         A symmetric orbit is a fixed point of the mirrored map over half of its period, whose multipliers are square
-        roots of those of the orbit. If the largest is negative, a deviation grows that changes its side from half to
-        half: the two half periods become different, and no fold is near.
+        roots of those of the orbit. If the largest multiplier of the mirrored map is negative, the deviation that grows
+        has opposite signs in successive half periods: these become different, and no fold is near.
         """
         if one.kind != FOLD or not self._mirrored(one) <= BORN:
             return one.kind
@@ -280,7 +280,7 @@ class Stroboscope:
         return np.full(len(self._free), math.nan) if state is None else state[self._free] / self.scale
 
     def note(self, one: Orbit) -> OrbitSummary:
-        """Return the summary of an orbit whose z refers to the section and scale that the map uses now."""
+        """Return the summary of an orbit whose coordinates refer to the present section and scale of the map."""
         state = self._whole(one.z, self._found(one.p)[0])
         return OrbitSummary(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
@@ -314,7 +314,7 @@ class Stroboscope:
         )
 
     def slopes(self, z: Real, p: float, varied: Callable[[int, float], Place], count: int) -> Slopes | None:
-        """Return the derivatives of ln DT, on the orbit near z, by any `count` parameters q of the rig.
+        """Return the derivatives of ln DT on the orbit near z with respect to `count` parameters q of the rig.
 
         z → f(z, q) is the map, g(z, q) is ln DT during one return, and J = ∂f/∂z. The orbit moves by
         (I − J)⁻¹ ∂f/∂q, so that dg/dq = ∂g/∂q + ∂g/∂z (I − J)⁻¹ ∂f/∂q. Only single returns to the map are simulated.
@@ -350,10 +350,11 @@ class Stroboscope:
         return Slopes(by_place[-1] + gradient @ moved, stable)
 
     def _returned(self, z: Real, place: Place, model: Model) -> tuple[Real, int]:
-        """Simulate one return from z; return the coordinates after it and, last, ln DT during it, and its impacts.
+        """Simulate one return of the map from z.
 
-        The values are NaN and the number of impacts −1 if the motion cannot be simulated, or the sphere is in contact
-        with a wall at the end.
+        Returns:
+            (coordinates after the return and, as last element, ln DT during it, shape (n + 1,); number of impacts).
+            These are NaN and −1 if the motion cannot be simulated, or the sphere is in contact with a wall at the end.
         """
         try:
             motion = self._run_at(z, place, model, self.cycles)
@@ -389,10 +390,10 @@ class Stroboscope:
         return segments
 
     def _whole(self, z: Real, place: Place) -> Real:
-        """Return the seven SI state values for `Simulation.set_state` that the coordinates z stand for.
+        """Convert the coordinates z to the seven SI state values for `Simulation.set_state`.
 
-        Values that are no coordinates are added: those of a prescribed base from its drive, and those of a sphere
-        without impacts from its resting position.
+        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive,
+        position and velocity of a sphere without impacts from its resting position.
         """
         state = np.zeros(7)
         state[self._free] = z * self.scale
@@ -407,9 +408,10 @@ class Stroboscope:
         return state
 
     def _moved(self, z: Real, p: float, turn: float) -> Real:
-        """Return the coordinates of the motion through z when the drive next has the phase `turn`, the new section.
+        """Return the coordinates of the motion through z at a new section, when the drive next has the phase `turn`.
 
-        If the section differs, the map uses it from now on. The coordinates are NaN if the sphere is then in contact.
+        The map uses the new section from now on. The coordinates are NaN if the sphere is in contact with a wall there;
+        z itself is returned if it is NaN or the section is unchanged.
         """
         later = (turn - self.turn) % 1.0
         if later == 0.0 or not np.isfinite(z).all():  # a point in a contact at an earlier section stays unknown
@@ -420,9 +422,12 @@ class Stroboscope:
 
 
 def at(place: Place, over: str, value: float) -> Place:
-    """Return a rig and its drive with another value of one parameter, in its own unit.
+    """Return a copy of `place` in which one parameter has another value.
 
-    The name `over` of the parameter is one that `Stroboscope` accepts.
+    Args:
+        place: the rig and its drive.
+        over: name of the parameter, as for `Stroboscope`.
+        value: value of the parameter in its own unit.
 
     Raises:
         ConfigError: the configuration has no such number, or the value is out of range.
@@ -439,7 +444,8 @@ def at(place: Place, over: str, value: float) -> Place:
 def _longest_flight(motion: Motion, cycles: int) -> float:
     """Return the phase of the drive best suited as a section of a motion, in turns.
 
-    It is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the cycles.
+    It is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the cycles; 0
+    if there are no contacts.
     """
     period = float(motion.segments["duration"][0])
     number = np.repeat(np.arange(motion.first_tick, motion.last_tick + 1), _FINE)
@@ -456,7 +462,7 @@ def _longest_flight(motion: Motion, cycles: int) -> float:
 
 
 def size(place: Place, state: Real) -> Real:
-    """Return the SI size of a motion in each value of `Simulation.state`, by which coordinates are divided, shape (7,).
+    """Return the SI size of a motion for each value of `Simulation.state`, shape (7,); coordinates are divided by it.
 
     `state` is one state of the motion, shape (7,); `place` is its rig and drive.
     """

@@ -13,5 +13,6 @@
 # limitations under the License.
 """Excitation tests that play a stream of samples to the shaker, as `impact-rig drive` does.
 
-They measure a frequency response, control a random spectrum, replicate a time history at a response, and play shocks.
+They measure a frequency response, control the spectrum of random noise, make a response of the rig follow a time
+history, and play shocks.
 """

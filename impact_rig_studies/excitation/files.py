@@ -37,7 +37,7 @@ from impact_rig_studies.importing.limits import VALUES
 from impact_rig_studies.importing.units import unit_factor
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
-MOST_RATIO = 1000  # limit of the smaller of the two integers whose ratio is that of the new rate and the old one
+MOST_RATIO = 1000  # largest value of the smaller of the two integers whose ratio approximates new over old rate
 
 
 def load(path: Path, kind: type[P]) -> P:
@@ -65,14 +65,14 @@ def read(document: object, kind: type[P]) -> P:
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
-        raise ConfigError(f"a mapping is needed, with some of the keys {', '.join(fields)}; got {str(document)[:60]!r}")
+        raise ConfigError(f"a mapping is needed, with keys from {', '.join(fields)}; got {str(document)[:60]!r}")
     values: dict[str, object] = {}
     for key, value in document.items():
         if key not in fields:
             raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields)}")
         values[key] = _value(str(key), value, fields[key].type)
     if missing := [name for name, one in fields.items() if one.default is attrs.NOTHING and name not in values]:
-        raise ConfigError(f"missing: {', '.join(missing)}")
+        raise ConfigError(f"missing: {', '.join(missing)}; add a value for each of these keys")
     try:
         return kind(**values)
     except (ValueError, TypeError) as error:
@@ -121,20 +121,21 @@ def history(
     Args:
         path: a run, or a file that `impact-rig import` reads.
         rate_hz: number of samples per second of the result.
-        wanted: SI unit of the result, such as m.
-        name: name of the signal; None means the only one of a file, or `channel` of a run.
-        channel: channel of a run; None means current.
-        unit: unit of the file's values, if it states none or a wrong one; empty means that of the file. A run is in
-            SI units, so it ignores this.
+        wanted: SI unit of the result, such as m or A.
+        name: name of the signal in a file, or of the channel in a run; None means the only signal of a file, or
+            `channel` of a run.
+        channel: default channel of a run; None means current.
+        unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
+            states, or else `wanted`. It is ignored for a run, whose values are in SI units.
         scale: factor by which the values are multiplied.
-        file_hz: number of samples per second of a file that states neither times nor a rate.
+        file_hz: number of samples per second of a file that states neither times nor a rate; ignored otherwise.
 
     Returns:
         The samples, shape (n,).
 
     Raises:
-        ConfigError: the signal or its rate is not known, `rate_hz` is < 1, or the unit is not one of `wanted`.
-        RecordingError: the file is damaged, scans of the run are missing, or a value is not finite.
+        ConfigError: the signal or its rate is not known, `rate_hz` is < 1, or the unit cannot be converted to `wanted`.
+        RecordingError: the file is damaged, scans of the run are missing, or the signal is empty or not finite.
         BudgetError: the result would have too many samples.
     """
     if path.is_dir() or path.suffix == ".mcap":
@@ -145,8 +146,8 @@ def history(
         to_si = unit_factor(unit, wanted)
         if to_si is None:
             raise ConfigError(
-                f"{path}: {unit!r} is no unit of {wanted}, which is needed here: choose another signal, or state the "
-                "unit of its values with --unit"
+                f"{path}: {unit!r} cannot be converted to {wanted}, which is needed here: choose another signal, or "
+                "state the unit of its values with --unit"
             )
         scale *= to_si
     if rate_hz < 1:
@@ -187,8 +188,8 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     if name is None and len(signals) == 1:
         name = next(iter(signals))
     if name is None or name not in signals:
-        problem = "it has several" if name is None else f"it has no {name!r}"
-        raise ConfigError(f"{path}: which signal? {problem}; choose one by --signal NAME: {', '.join(signals)[:300]}")
+        problem = "the file has several signals" if name is None else f"the file has no signal {name!r}"
+        raise ConfigError(f"{path}: {problem}; choose one by --signal NAME: {', '.join(signals)[:300]}")
     one = signals[name]
     rate = one.rate_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:

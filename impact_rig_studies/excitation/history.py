@@ -18,23 +18,24 @@ response, H the response function from drive to response, and F⁻¹ the inverse
 
     drive_1 = F⁻¹ [X / H],    drive_{n+1} = drive_best + g F⁻¹ [(X − Y_best) / H]
 
-The gain g is 1, halves after each trial that is worse than the best one, and doubles after a better one up to 1: with a
-sphere the response is not linear. It may also jump where an impact appears, so no gain need help. Then the next
-correction starts from the latest trial.
+`best` is the trial with the smallest error so far. The gain g is 1, halves after each trial that is worse than the best
+one, and doubles after a better one up to 1, because with a sphere the response is not linear. The response may also
+jump where an impact appears, so that no gain helps. When g falls below `LEAST_GAIN`, the next correction starts from
+the latest trial; without bursts (below) the trials end.
 
 A response is the motion, not the reading: the known behaviour of its sensor is corrected (`response.motion`). The error
-is judged in the controlled band. The floor of the error is what the sensor's noise in that band and the uncertainty of
-its gain can explain.
+is computed at frequencies below `ABOVE` times the upper band edge. Its floor is the error that the sensor's noise there
+and the uncertainty of the sensor's gain can explain.
 
 H is measured first, at the frequency lines of a repeated frame. The frame must be longer than the structure takes to
 stop ringing, since the impulse response of 1 / H is as long at an antiresonance of the base. A trial begins and ends at
 rest and is corrected at the same lines.
 
-Corrections remove only what repeats. A sphere that rolls freely never comes to rest. It begins each trial at another
-place, so equal drives give different responses. If equal trials differ by more than noise, each trial begins with a
-burst: a sine at the resonance of the superior base. If the sphere's motion in the burst is regular, it does not depend
-on what preceded it. Not every amplitude gives a regular motion, so bursts are tried until equal trials agree. Neither
-the drive of a burst nor the motion of the superior base in it exceeds that of the history.
+Corrections remove only errors that repeat. A sphere that rolls freely never comes to rest. It begins each trial at
+another position, so equal drives give different responses. If equal trials differ by more than noise, each trial begins
+with a burst: a sine at the resonance of the superior base. If the sphere's motion in the burst is regular, it does not
+depend on what preceded it. Not every amplitude gives a regular motion, so bursts are tried until equal trials agree. In
+a burst, neither the peak of the drive nor that of the superior base's motion exceeds its value in the history.
 """
 
 from __future__ import annotations
@@ -54,14 +55,14 @@ from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
 LEAST_GAIN = 0.2  # gain below which a correction is given up
 
-ABOVE = 1.25  # frequency at which the correction has faded out, as a multiple of the upper band edge
+ABOVE = 1.25  # frequency above which nothing is corrected, as a multiple of the upper band edge
 FRAMES = 3  # number of measured frames of the identification of H; one more precedes them
 BESIDE = 25  # number of frequency lines over which the noise of H is averaged
-NOISES = 4.0  # multiple of the variance of H's noise that is added to |H|² where it divides
+NOISES = 4.0  # multiple of the variance of H's noise that is added to |H|² in the inverse of H
 
 REPEATS = 5  # number of equal trials that must agree
-WEAKER = 0.1  # step by which the drive of the trials between them decreases, so that each has another past
-AGREEMENT = 1.2, 0.1  # largest scatter of trials that agree: multiple of the sensor's noise, fraction of `enough`
+WEAKER = 0.1  # step by which the drive of the trials between them decreases, to vary what precedes them
+AGREEMENT = 1.2, 0.1  # largest scatter of trials that agree: multiple of the sensor's noise, or of `enough`
 BURSTS = (0.0, 1.0, 0.8, 0.64, 0.5, 0.4, 0.32)
 """Amplitudes of the bursts that are tried, as fractions of the largest possible one."""
 BURST_EDGE_S = 0.5  # duration of the rise and of the fall of a burst [s]
@@ -75,13 +76,14 @@ class ReplicatePlan:
         low_hz: lower edge of the band in which the drive is corrected; 0 includes the static value.
         high_hz: upper edge of that band.
         iterations: maximum number of trials, including the first.
-        enough: rms error over the rms of the requested history at which the trials end.
+        enough: rms error over rms of the requested history at or below which the trials end.
         rest_s: time without drive before and after the history in each trial [s].
         identify_rms: rms of the drive while the response function is measured [A].
-        identify_s: time by which a frame of that measurement is longer than a trial [s]; four frames are played.
+        identify_s: time by which a frame of that measurement is longer than a trial without a burst [s]; four frames
+            are played.
         burst_s: duration of the burst before each trial, if one is needed [s]; at most `identify_s` is used.
         response: response that follows the history, one of `Response`.
-        seed: seed of the random phases of that measurement.
+        seed: seed of the random phases of the drive while the response function is measured.
     """
 
     low_hz: float = attrs.field(default=2.0, validator=attrs.validators.ge(0.0))
@@ -102,23 +104,23 @@ class Replicated:
 
     rate_hz: int  # samples per second
     asked: Real  # requested history in the SI unit of the response, shape (n,)
-    reached: Real  # measured response of the best trial below the upper band edge, likewise
+    reached: Real  # measured response of the best trial, low-pass filtered at `ABOVE` times the band edge, likewise
     linear: Real
     """Response that the measured H predicts for the drive of the best trial, likewise.
 
-    If `reached` differs, the rig is not linear, or its sensors are noisy.
+    If it differs from `reached`, the rig is not linear, or its sensors are noisy.
     """
     drive: Real  # drive of the whole best trial, with burst and rest before the history and rest after it, (m,) [A]
     burst: int  # number of samples in `drive` of the burst and the rest around it; 0 without a burst
     lead: int  # number of samples in `drive` before the history
     errors: tuple[float, ...]  # rms error over rms of the requested history, for each trial so far
     floor: float
-    """Value of such an error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
-    repeated: float | None = None  # such an error of a repetition of the best drive; None before it was played
+    """Largest such error that the sensor's noise and twice the standard uncertainty of its gain can explain."""
+    repeated: float | None = None  # such an error in a repetition of the best drive; None before the repetition
 
     @property
     def quiet(self) -> slice:
-        """Samples in `drive` before the history in which the rig is at rest: there the response counts as zero."""
+        """Slice of samples in `drive` before the history, with the rig at rest, whose mean response is subtracted."""
         rest = self.lead - self.burst
         return slice(self.burst + rest // 4, self.burst + max(1, rest // 2))
 
@@ -143,9 +145,9 @@ def replicate(
         on_step: receives a description of each step before the first trial, for the user.
 
     Yields:
-        After each trial the best result so far, with the errors of all trials. They end when the error is small enough
-        or after the maximum number, and without a burst also when corrections no longer improve it. The last result,
-        after a repetition of the best drive, differs only in `repeated`.
+        After each trial, the best result so far with the errors of all trials. The trials end when the error is small
+        enough or after the maximum number; without a burst they also end when corrections no longer reduce the error.
+        Then the best drive is repeated: the last result differs from the one before only in `repeated`.
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.
@@ -218,7 +220,7 @@ def _steadying(
     agreement: float,
     on_step: Callable[[str], object],
 ) -> Real:
-    """Return the first burst of `BURSTS` after which equal trials agree, or else the one after which they agree best.
+    """Try the bursts of `BURSTS`; return the first after which equal trials agree, or else the best of all.
 
     Args:
         respond: function that plays a burst and a drive, and returns the response, relative to the rms of the history.
@@ -228,7 +230,7 @@ def _steadying(
         on_step: receives a description of each step for the user.
 
     Returns:
-        Its drive [A]; empty for no burst.
+        Drive of this burst [A], shape (n,); empty if trials agree, or agree best, without a burst.
     """
     scatters, tried = [], []
     for amplitude in BURSTS:
@@ -247,10 +249,10 @@ def _steadying(
 
 
 def _fade(count: int, lead: int) -> Real:
-    """Return a window that is 1 during a signal, and 0 in the outer halves of the rests before and after it.
+    """Return a window that is 1 during a signal, and 0 in the outer halves of the rests before and after the signal.
 
     Args:
-        count: number of samples with both rests.
+        count: number of samples of the signal and both rests.
         lead: number of samples of each rest.
     """
     fade = np.sin(0.5 * np.pi * np.clip(4.0 * np.arange(count) / max(1, lead) - 2.0, 0.0, 1.0)) ** 2
@@ -258,16 +260,17 @@ def _fade(count: int, lead: int) -> Real:
 
 
 def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
-    """Return the drive of the largest burst, with a rest before and after it [A], shape (n,), n <= m.
+    """Return the drive of the largest allowed burst, with a rest before and after it [A], shape (n,), n <= m.
 
-    Neither its peak nor that of the superior base's motion exceeds that of the history's drive.
+    Its peak does not exceed the peak of the history's drive. The peak of the superior base's motion that it causes does
+    not exceed the peak that the history's drive causes.
 
     Args:
         plan: settings.
         rate_hz: number of samples per second.
         drive: drive of the history in a frame [A], shape (m,).
-        h: response function of the superior base at the frequency lines of such a frame.
-        inverse: its inverse.
+        h: response function of the superior base at the frequency lines of a frame of m samples.
+        inverse: inverse of `h`, as from `_identify`.
     """
     length, lead = len(drive), round(plan.rest_s * rate_hz)
     count = min(round(min(plan.burst_s, plan.identify_s) * rate_hz), length - 2 * lead)
@@ -287,9 +290,9 @@ def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: 
 def _identify(
     hardware: Hardware, plan: ReplicatePlan, length: int, calibration: Calibration
 ) -> list[tuple[Complex, Complex]]:
-    """Measure the response function H from the drive to each of two responses by playing pseudo-random noise.
+    """Measure two response functions H by playing pseudo-random noise.
 
-    The responses are that of the plan, and the displacement of the superior base.
+    They lead from the drive to the response of the plan, and to the displacement of the superior base, in this order.
 
     Args:
         hardware: output and acquisition.
@@ -298,8 +301,8 @@ def _identify(
         calibration: calibration of the sensors.
 
     Returns:
-        For each response H, and 1 / H faded out at the edges of the band and reduced where noise hides H; each at the
-        lines of `numpy.fft.rfft`, and 0 outside of the band.
+        For each response (H, 1 / H) at the lines of `numpy.fft.rfft`, both 0 outside of the band. 1 / H fades out at
+        the edges of the band, and is reduced where noise hides H.
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
@@ -353,9 +356,9 @@ class Played:
 
     @property
     def error(self) -> float:
-        """Standard deviation of measured current − played samples, over that of the samples; NaN if those are constant.
+        """Standard deviation of measured current − played samples, divided by that of the played samples.
 
-        It is meaningful only if the history is a current.
+        It is NaN if the samples are constant, and meaningful only if the history is a current.
         """
         apart, asked = (self.rows["current"] - self.asked).std(), self.asked.std()
         return float(apart / asked) if asked > 0.0 else math.nan
@@ -375,7 +378,7 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
     Args:
         hardware: output and acquisition, with equal rates.
         samples: the history, A, m or V by `drive.kind`, shape (n,).
-        limit: absolute value at which samples are clipped; None means that none is clipped, and that the rig rejects
+        limit: absolute value to which larger samples are clipped; None means that none is clipped. The rig rejects
             samples beyond the range of its shaker.
 
     Yields:

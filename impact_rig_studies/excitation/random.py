@@ -14,9 +14,9 @@
 """Random control: adjust a random drive until a response of the rig has the requested power spectral density.
 
 The drive is a sum of sines at the frequency lines of a frame, with given amplitudes and random phases. Successive
-frames are windowed (a half sine) and overlapped by a half, which gives a stationary, nearly Gaussian signal. After each
-loop the drive's density at each line moves towards requested density / |H|². |H|² is the measured density of the
-response over that of the drive, including distortion.
+frames are windowed (a half sine) and overlapped by a half, which gives a stationary, nearly Gaussian signal. A loop is
+a measurement over some frames. After each loop the drive's density at each line is corrected towards requested density
+/ |H|². |H|² is the measured density of the response, including distortion, over that of the drive.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ LEAST_DRIVE_DB = -60.0
 
 @attrs.frozen(kw_only=True)
 class Spectrum:
-    """Requested power spectral density: corners, with straight lines between them on logarithmic axes."""
+    """Requested power spectral density, given by corners with straight lines between them on logarithmic axes."""
 
     frequency_hz: tuple[float, ...]  # frequencies of the corners, ascending
     density: tuple[float, ...]  # densities at the corners, in unit of the response² / Hz
 
     def at(self, frequency_hz: Real) -> Real:
-        """Return the density at some frequencies, in unit of the response² / Hz; it is 0 outside of the corners."""
+        """Return the density at some frequencies, in unit of the response² / Hz; 0 outside the range of the corners."""
         inside = (frequency_hz >= self.frequency_hz[0]) & (frequency_hz <= self.frequency_hz[-1])
         found = np.zeros(len(frequency_hz))
         at = np.log(frequency_hz[inside])
@@ -62,13 +62,13 @@ class RandomPlan:
         response: controlled response, one of `Response`.
         frame_s: length of a frame [s]; the frequency lines are 1 / frame_s apart.
         loops: number of corrections of the drive.
-        frames: length of a loop in frames, whose spectra are averaged with an overlap of a half.
-        averages: the same for the final measurement after the last correction.
-        gain: share of a correction in dB that is applied, up to 1.
+        frames: length of a loop in frames; spectra are averaged over it with an overlap of a half.
+        averages: length of the final measurement after the last correction, in frames.
+        gain: applied fraction of the computed correction in dB, up to 1.
         start_rms: rms of the drive in the first loop [A].
         crest: absolute value at which the drive is clipped, as a multiple of its rms.
-        abort_db: excess of the response over the requested density at any line [dB], from the third loop on, which
-            ends the test with an error.
+        abort_db: largest allowed excess of the response over the requested density at any line [dB]; a larger one, from
+            the third loop on, ends the test with an error.
         seed: seed of the random phases.
     """
 
@@ -87,7 +87,10 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """Result of random control after a loop: requested and reached spectra; densities in unit of the response² / Hz."""
+    """Result of random control after a loop: requested and reached spectra, and properties of the signals.
+
+    Densities are in unit of the response² / Hz.
+    """
 
     frequency_hz: Real  # frequency lines within the requested band, shape (n,)
     asked: Real  # requested density of the response at these lines, shape (n,)
@@ -113,7 +116,7 @@ class Reached:
         return np.maximum((1.0 - self.coherence) * self.reached - self.noise, 0.0)
 
     def share(self, density: Real) -> float:
-        """Return the share of the response's mean square within the band that a part of its density accounts for.
+        """Return the fraction of the response's mean square within the band that a part of its density contributes.
 
         Args:
             density: density of the part at the lines, such as `distortion`, shape (n,).
@@ -139,11 +142,11 @@ class _Drive:
         self._tail = np.zeros(length // 2)
 
     def samples(self, amplitude: Real, frames: int) -> Real:
-        """Return the next samples of the drive, shape (frames · length // 2,): each further frame adds half its length.
+        """Return the next samples of the drive, shape (frames · (length // 2),): each frame adds half of its length.
 
         Args:
             amplitude: peak amplitude at each frequency line of a frame, shape (length // 2 + 1,).
-            frames: number of frames that begin.
+            frames: number of new frames, each of which overlaps with the one before by a half.
         """
         half = self._length // 2
         out = np.empty(frames * half)
@@ -166,7 +169,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         The result after each loop. The last one is the final measurement after all corrections.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, or the response exceeds the request by `abort_db`.
+        CommandError: the shaker trips or rejects the drive, or the response exceeds the request by more than
+            `abort_db`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz

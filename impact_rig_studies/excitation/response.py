@@ -13,14 +13,15 @@
 # limitations under the License.
 """Measurement of a frequency response (`measure`), and the responses that excitation tests control (`Response`).
 
-The rig is driven by frames of noise or chirps (`signals.Excitation`), and the frequency response improves with each
-frame. A burst of noise fills the first part of a frame, and the response has decayed at its end. A pseudo-random frame
-or a chirp repeats. There is no leakage, so that no window is needed. For a rig with its sphere, the result is the best
+The rig is driven by frames of noise or chirps (`signals.Excitation`), and the frequency response becomes more accurate
+with each frame. A burst of noise fills the first part of a frame, and the response decays before the frame ends. A
+pseudo-random frame or a chirp is repeated. In both cases there is no leakage, so no window is needed. For a rig with
+its sphere, the result is the best
 linear approximation at this level of excitation: a coherence below 1 is caused by noise and distortion (Pintelon &
 Schoukens 2012, System Identification, chapter 4).
 
 Every response is the motion, not the reading: lag, skew, high-pass and order of derivative of its sensor are corrected
-by its calibration (`motion`).
+by the sensor's calibration (`motion`).
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ class Response(enum.StrEnum):
 
     @property
     def channel(self) -> str:
-        """Name of the channel of `daq/scan` whose sensor measures this response.
+        """Name of the channel of `daq/scan` from which this response is computed.
 
-        The acceleration of the inferior base is derived from its displacement.
+        For the acceleration of the inferior base it is the base's displacement, which is differentiated twice.
         """
         return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
 
@@ -68,7 +69,7 @@ class Response(enum.StrEnum):
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
         """Return the motion that the channel of this response measured, corrected for its sensor, shape (n,).
 
-        For `BASE_ACCELERATION` it is still the displacement [m], for the others it is in `unit`.
+        For `BASE_ACCELERATION` it is the displacement [m], not differentiated; for the others it is in `unit`.
 
         Args:
             rows: consecutive rows of `daq/scan`, shape (n,).
@@ -89,7 +90,7 @@ class Response(enum.StrEnum):
         return np.asarray((2.0 * np.pi * frequency_hz) ** power / seen**2)
 
     def noise(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the power spectral density of the sensor's own noise, as a response, in its unit² / Hz.
+        """Return the power spectral density of the sensor's noise, converted to this response, in its unit² / Hz.
 
         The sensor's noise is assumed to be white up to half of the scan rate.
 
@@ -101,7 +102,7 @@ class Response(enum.StrEnum):
         return np.asarray(self.weight(calibration, frequency_hz) * white)
 
     def noises(self, calibration: Calibration, length: int, count: int, top_hz: float) -> Real:
-        """Return simulated records of the motion that the sensor would indicate on a rig at rest, due to its noise.
+        """Return simulated records of the motion that the sensor indicates on a rig at rest because of its noise.
 
         Args:
             calibration: calibration of the sensors.
@@ -117,7 +118,7 @@ class Response(enum.StrEnum):
 
 
 def _white_rms(calibration: Calibration, channel: int) -> float:
-    """Return the rms of a white noise up to half of the scan rate whose density is that of a channel near 0 Hz.
+    """Return the rms of white noise up to half of the scan rate with the density of a channel's noise near 0 Hz.
 
     Args:
         calibration: calibration of the sensors.
@@ -126,7 +127,7 @@ def _white_rms(calibration: Calibration, channel: int) -> float:
     return float(calibration.noise[channel] * np.sqrt(calibration.noise_crowding()[channel]))
 
 
-FADE = 0.8  # frequency, as a fraction of the upper band edge, from which a band fades out
+FADE = 0.8  # fraction of the upper band edge from which components are attenuated, down to zero at the edge
 
 
 def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) -> Real:
@@ -140,7 +141,7 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
         values: contiguous readings of a channel, which begin and end at rest, shape (n,).
         calibration: calibration of the sensors.
         channel: index of the channel in `scans.CHANNELS`.
-        top_hz: upper edge of the band; from half of the scan rate on, nothing is removed.
+        top_hz: upper edge of the band; if it is half of the scan rate or more, nothing is removed.
     """
     frequency: Real = np.asarray(np.fft.rfftfreq(len(values), 1.0 / calibration.rate_hz), np.float64)
     edge = np.ones(len(frequency))
@@ -157,16 +158,17 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Measure the frequency response of one channel relative to another while driving the rig with an excitation.
 
-    Lag, skew and high-pass of the sensors are corrected by their calibration.
+    Lag, skew and high-pass of the sensors are corrected by their calibration. The uncertainty `u_relative` includes
+    that of their gains.
 
     Args:
         hardware: output and acquisition, with equal rates.
         excitation: signal that drives the rig.
-        channel: name of the channel of the response.
-        reference: name of the channel by which it is divided.
+        channel: name of the channel of the response (numerator).
+        reference: name of the channel of the reference (denominator).
 
     Yields:
-        The frequency response from all frames so far, after each frame from the third on.
+        The frequency response from all measured frames so far, after each frame from the third on.
 
     Raises:
         ConfigError: the band of the excitation is not below half of the sample rate.

@@ -14,7 +14,8 @@
 """Half-sine shocks of the inferior base, compensated so that a shaker can perform them, and shock response spectra.
 
 A half sine of acceleration alone would leave the base with a permanent velocity. Two long, low pulses of the opposite
-sign, one before and one after it, each the square of a half sine, bring velocity and displacement back to zero.
+sign, one before and one after the half sine, bring velocity and displacement back to zero. Each has the shape of a
+squared half sine.
 
 The shock response spectrum is, for each natural frequency, the largest absolute acceleration of a single degree of
 freedom whose base has the acceleration a. Its relative displacement x obeys x'' + 2ζω x' + ω² x = −a, and its absolute
@@ -38,7 +39,7 @@ from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePl
 
 @attrs.frozen(kw_only=True)
 class Pulse:
-    """Requested shock of the inferior base: a half sine of acceleration, between two compensating pulses."""
+    """Requested shock of the inferior base: a half sine of acceleration between two compensating pulses."""
 
     # largest acceleration of the half sine [m/s²]
     peak: float = attrs.field(default=20.0, validator=attrs.validators.gt(0.0))
@@ -49,7 +50,7 @@ class Pulse:
     def acceleration(self, rate_hz: int) -> Real:
         """Return the acceleration of the whole shock with its compensation [m/s²], shape (n,).
 
-        Its sum and the sum of its running sum are zero, so that velocity and displacement end at zero.
+        The sum of its samples and the sum of its running sum are zero, so velocity and displacement end at zero.
 
         Args:
             rate_hz: number of samples per second.
@@ -76,13 +77,13 @@ class Pulse:
 
 
 def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Real, quality: float = 10.0) -> Real:
-    """Return the shock response spectrum of an acceleration: the largest response of single degrees of freedom.
+    """Return the shock response spectrum of an acceleration: the largest responses of one-mass oscillators.
 
     Args:
-        acceleration: acceleration of their base [m/s²], shape (n,).
+        acceleration: acceleration of the base of the oscillators [m/s²], shape (n,).
         rate_hz: number of samples per second.
-        frequency_hz: their natural frequencies, shape (k,).
-        quality: their quality factor 1 / (2 ζ); infinite without damping.
+        frequency_hz: natural frequencies of the oscillators, shape (k,).
+        quality: quality factor 1 / (2 ζ) of the oscillators; infinite without damping.
 
     Returns:
         The largest magnitude of the absolute acceleration at each natural frequency, during the shock and for one
@@ -137,30 +138,30 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 class Shocked:
     """Result of a shock test after a trial: requested shock, and the best shock of the inferior base so far.
 
-    The base's motion is measured by its displacement sensor. An error within its floor may be caused by this sensor:
-    the floor is the largest value among `DRAWS` simulated records of its noise, plus the effect of twice the standard
-    uncertainty of its gain.
+    The base's motion is measured by its displacement sensor. An error up to its floor may be caused by this sensor. The
+    floor is the largest error among `DRAWS` simulated records of the sensor's noise, plus the effect of twice the
+    standard uncertainty of the sensor's gain.
     """
 
-    followed: Replicated  # replication of the displacement, with the drive
+    followed: Replicated  # result of replicating the displacement, which contains the drive
     asked: Real  # requested acceleration [m/s²], shape (n,)
     reached: Real  # reached acceleration up to the frequency `CORNER` / duration of the pulse [m/s²], shape (n,)
     frequency_hz: Real  # natural frequencies of the spectra, shape (k,)
-    srs_asked: Real  # shock response spectrum of the request below that frequency [m/s²], Q = 10, shape (k,)
+    srs_asked: Real  # shock response spectrum of the request, filtered like `reached` [m/s²], Q = 10, shape (k,)
     srs_reached: Real  # shock response spectrum of `reached`, likewise
     srs_ideal: Real  # shock response spectrum of the half sine alone, in closed form without damping, likewise
     peak_error: float  # relative error of the largest acceleration
     velocity_error: float  # relative error of the change of velocity during the half sine
-    left_m: float  # displacement at the end of the shock
+    left_m: float  # measured displacement at the end of the shock, which should be zero
     srs_worst_db: float  # largest absolute difference of `srs_reached` from `srs_asked` [dB]
     floors: Mapping[str, float]  # floor of each of these four errors, by name of the attribute
 
 
 DRAWS = 100  # number of simulated records of the sensor's noise; one error in 101 is larger than in any of them
 CORNER = 3.0
-"""Frequency up to which a displacement is differentiated twice, times the duration of the half sine.
+"""Corner frequency of the filter for double differentiation, times the duration of the half sine.
 
-Noise of the acceleration increases with the square of the frequency.
+The filter is needed because the noise of a differentiated displacement increases with the square of the frequency.
 """
 
 

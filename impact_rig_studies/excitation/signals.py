@@ -33,13 +33,13 @@ MOST_SAMPLES = 50_000_000  # maximum number of samples of an excitation, which a
 class Excitation:
     """Excitation signal for the measurement of a frequency response: frames of noise or chirps within a band.
 
-    It is different bursts of noise, each followed by silence, or the repetition of one frame of pseudo-random noise or
-    of one chirp from the lower to the upper edge of the band.
+    With the kind `burst_random` each frame has a new burst of noise, followed by silence. With `pseudo_random` one
+    frame of noise is repeated, with `chirp` one chirp from the lower to the upper edge of the band.
     """
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # kind of signal, one of `KINDS`
     frames: int = attrs.field(default=20, validator=attrs.validators.ge(3))
-    """Number of measured frames; a frame that repeats is played once more before them, for the transient."""
+    """Number of measured frames; before them, a repeated frame is played once as a run-in."""
     frame_s: float = attrs.field(default=8.0, validator=attrs.validators.gt(0.0))  # length of a frame [s]
     burst: float = attrs.field(default=0.5, validator=[attrs.validators.gt(0.0), attrs.validators.le(1.0)])
     """Fraction of a frame that a burst of noise fills; the rest is silence. Other kinds ignore it."""

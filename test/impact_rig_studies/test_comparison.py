@@ -204,4 +204,4 @@ def test_the_command_names_only_the_constants_that_are_missing(
     said = " ".join(capsys.readouterr().out.split())
     assert ("constants:" in said) == bool(missing)
     if missing:
-        assert said.endswith(f"constants: none can be determined; this run lacks {' and '.join(missing)}")
+        assert said.endswith(f"constants: none can be determined, because this run lacks {' and '.join(missing)}")

@@ -443,7 +443,7 @@ def test_an_unresolvable_value_of_a_diagram_is_marked_and_the_others_continue(st
         ("0.011", "failed"), ("0.0115", "periodic"), ("0.012", "periodic"),
     ]  # fmt: skip
     assert json.loads((tmp_path / "out" / "bifurcation.json").read_text())["failed_rows"] == 1
-    assert "1 of 3 rows could not be resolved" in capsys.readouterr().out
+    assert "1 of 3 rows have no result" in capsys.readouterr().out
 
 
 def test_an_unresolvable_start_of_a_basin_is_marked_and_the_others_continue(tmp_path, monkeypatch):
