@@ -221,7 +221,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         """Return why a sweep cannot start yet, as a text for the user; empty if it can start."""
         commands = topics.FREQUENCY.name, topics.CURRENT.name
         if silent := [name for name in commands if not self.outputs[name].get_subscription_count()]:
-            return f"no rig subscribes to {' and '.join(silent)}"
+            return f"no rig subscribes to {' and '.join(silent)}: start a rig in the same namespace"
         if self.settings.hold == PHASE:
             if self._info is None or not self._scans_heard:
                 topic = topics.SCAN if self._info is not None else topics.INFO

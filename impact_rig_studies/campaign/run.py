@@ -143,7 +143,7 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     Args:
         campaign: campaign to measure.
         directory: its directory, new or with results of the same rig.
-        through: how the jobs are measured, such as `processes`, for `provenance.json`.
+        through: how the jobs are measured, such as `process` or `import`, for `provenance.json`.
 
     Raises:
         RecordingError: the directory cannot be written, or contains other files or results of another rig.

@@ -48,7 +48,10 @@ def run_play(arguments: argparse.Namespace) -> int:
     if arguments.seconds is not None and arguments.seconds * arguments.scan_rate < len(samples):
         samples = samples[: round(arguments.seconds * arguments.scan_rate)]
     if not len(samples):
-        raise ConfigError(f"--seconds {arguments.seconds:g} is less than a sample at --scan-rate {arguments.scan_rate}")
+        raise ConfigError(
+            f"--seconds {arguments.seconds:g} is less than a sample at --scan-rate {arguments.scan_rate}: state "
+            f"{1.0 / arguments.scan_rate:g} or more"
+        )
     _refuse_zeros(arguments, samples)
     return _drive(
         arguments, f"Played: {visible(arguments.file.name)}", "A", lambda rig: play(rig, samples, arguments.clip)

@@ -129,7 +129,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     console.print(
         f"largest reduction of DT at {best.over} {best.value:.6g}: {reading.reduction_percent:.2f} % "
         f"(DT {reading.dt:.2f}, {reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); from "
-        f"{best.region[0]:.6g} to {best.region[1]:.6g} it is at most {optimum.REGION_POINTS:g} point smaller"
+        f"{best.region[0]:.6g} to {best.region[1]:.6g} it is at most {optimum.REGION_POINTS:g} percentage point smaller"
     )
     table = TextTable(
         "Change of this reduction if a value of the configuration is 1 % larger", left=("value",), right=("points",)

@@ -69,7 +69,8 @@ def read(document: object, kind: type[P]) -> P:
     values: dict[str, object] = {}
     for key, value in document.items():
         if key not in fields:
-            raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields)}")
+            known = f", known: {', '.join(fields)}"
+            raise ConfigError(f"unknown key {key}{did_you_mean(str(key), fields, otherwise=known)}")
         values[key] = _value(str(key), value, fields[key].type)
     if missing := [name for name, one in fields.items() if one.default is attrs.NOTHING and name not in values]:
         raise ConfigError(f"missing: {', '.join(missing)}; add a value for each of these keys")

@@ -242,7 +242,7 @@ def _steadying(
             scatter = float(np.sqrt(np.var(found, axis=0, ddof=1).mean()))
         scatters.append(scatter)
         before = f"after a burst of {np.abs(tried[-1]).max():.2f} A peak" if len(tried[-1]) else "without a burst"
-        on_step(f"{len(found)} equal trials {before} differ by {100 * scatter:.2f} %")
+        on_step(f"{len(found)} equal trials {before} differ by {100 * scatter:.2f} % of the history")
         if scatter <= agreement:
             break
     return tried[int(np.argmin(scatters))]

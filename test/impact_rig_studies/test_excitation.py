@@ -190,8 +190,8 @@ def test_a_burst_exceeds_neither_the_drive_nor_the_motion_of_the_history():
         size = np.abs(values)
         assert 0.0 < size[: found.burst].max() <= 1.02 * size[found.burst :].max()
     assert steps[0] == "response function measured"
-    assert re.fullmatch(r"[2-5] equal trials without a burst differ by [\d.]+ %", steps[1])
-    assert re.fullmatch(r"5 equal trials after a burst of [\d.]+ A peak differ by 0\.\d+ %", steps[-1])
+    assert re.fullmatch(r"[2-5] equal trials without a burst differ by [\d.]+ % of the history", steps[1])
+    assert re.fullmatch(r"5 equal trials after a burst of [\d.]+ A peak differ by 0\.\d+ % of the history", steps[-1])
 
 
 @pytest.mark.parametrize(("repeated", "says"), [(0.0041, False), (0.012, True)])
