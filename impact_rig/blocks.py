@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Columns and row types of the table topics, and `Table`, the stamped structured array that such a topic carries.
+"""Columns and row types of all topics that carry tables, and `Table`, the content of one of their messages.
 
 Each table has a tuple of columns (`FAULTS_COLUMNS`) and a row type made from it (`FAULTS`). `time` is always in seconds
 since the table's stamp. `docs/reference/interface.md` is generated from these columns.
@@ -41,15 +41,15 @@ class Column:
 
     Attributes:
         name: name of the column.
-        unit: SI unit, `-` for none, or text if it depends on the row.
-        doc: description, including the values that are not measurements.
+        unit: SI unit, `-` for none, or a phrase such as `by kind` if it depends on the row.
+        doc: description, with the meaning of values that are not measurements, such as NaN.
         kind: numpy type code.
         default: value for tables of an earlier version that lack the column; None if the column is required.
-        least: least value that is allowed; a column with a bound contains no NaN.
+        least: least value that is allowed; a column with a bound must not contain NaN.
         most: largest value that is allowed.
         whole: whether the values are integers.
-        is_part: permission for a text to be part of a longer one: cut within a character, it need not be UTF-8 by
-            itself.
+        is_part: whether a text of the column may be a piece of a longer text. A piece may begin or end within a
+            character, so it need not be valid UTF-8.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Column:
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:
-        """Return the bounds of a bounded column as text for an error message: `a whole number from 0 on`."""
+        """Return the allowed numbers of a bounded column as text for an error message: `a number from 1 to 10`."""
         number = "a whole number" if self.whole else "a number"
         if self.least > -math.inf and self.most < math.inf:
             return f"{number} from {self.least:.10g} to {self.most:.17g}"
@@ -84,12 +84,12 @@ def time(doc: str) -> Column:
 
 
 def index(name: str, doc: str) -> Column:
-    """Return a column of whole numbers from 0 on, such as the index of a scan."""
+    """Return a column of whole numbers from 0 to 2**53, such as the index of a scan."""
     return Column(name, "-", doc, least=0.0, most=LARGEST_INDEX, whole=True)
 
 
 def row_type(columns: Iterable[Column]) -> np.dtype[np.void]:
-    """Return the numpy type of rows with these columns, without padding between them."""
+    """Return the structured numpy type of rows with these columns, in this order and without padding between them."""
     return np.dtype([(column.name, column.kind) for column in columns])
 
 
@@ -350,7 +350,7 @@ class Table:
 def joined(parts: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
     """Return the rows of several arrays of one type, joined in order in a new array; `parts` must not be empty.
 
-    `numpy.concatenate` compares such types field by field in Python, which takes a hundred times longer.
+    It takes a hundredth of the time of `numpy.concatenate`, which compares structured types field by field in Python.
     """
     rows: NDArray[np.void] = np.frombuffer(bytearray().join(parts), parts[0].dtype)  # type: ignore[arg-type]  # buffers
     return rows

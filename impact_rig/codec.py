@@ -79,7 +79,7 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
     Args:
         table: table to encode. Its columns are integers of 8 to 32 bits, floats of 32 or 64 bits, or texts of 32 bytes
             (`S32`), in little-endian byte order.
-        frame_prefix: text before the table's frame.
+        frame_prefix: text that is put before the table's `frame_id` in the message, such as `left/rig/`.
 
     Returns:
         The message as little-endian CDR, the encoding that ROS 2 transmits.
@@ -142,7 +142,8 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
         data: serialised message (little-endian CDR).
         topic: topic of the table (an entry of `impact_rig.topics`, such as `impact_rig.topics.SCAN`), whose columns and
             values are then checked; None allows any columns and values.
-        needs: further required columns of a table of `topic`, such as the channels of a scan.
+        needs: names of columns that the table must have in addition to those of `topic`, such as the channels of a
+            scan.
 
     Returns:
         The table. Its rows are a read-only view of `data`, or a new array if `topic` has columns that `data` lacks or
@@ -169,21 +170,22 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
 
 
 def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
-    """Check a table of `topic` of any origin and version, and return it with the columns and values of the topic.
+    """Check that a table of any origin and version is valid for `topic`, and return it with all columns of that topic.
 
-    Every table that was not made in this process passes this check, live or from a file. A column that an earlier
-    version did not have is filled with its default, and a number of a narrower type is widened. Further columns (of a
-    later version, or the channels of a scan) follow after those of the topic. A table that already has the topic's type
-    is returned unchanged.
+    Every table that was not made in this process, received or read from a file, must pass this check. A column that an
+    earlier version did not have is filled with its default, and a number of a narrower type is widened. Further columns
+    (of a later version, or the channels of a scan) follow after those of the topic. If nothing must be filled or
+    widened, the same table is returned.
 
     Args:
         table: the decoded table.
         topic: a topic that carries tables.
-        needs: further required columns: the channels of a scan that a caller reads.
+        needs: names of columns that the table must have in addition to those of `topic`, such as the channels of a
+            scan.
 
     Raises:
-        CodecError: a column is missing, has another type, or contains a value that the topic does not allow; the
-            message names topic, column, value and the allowed values.
+        CodecError: a column is missing, has a type that cannot be widened to that of the topic, or contains a value
+            that the topic does not allow; the message names topic, column, value and the allowed values.
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)
@@ -203,10 +205,10 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
 @attrs.frozen(eq=False)
 class _Plan:
-    """Plan for turning tables with one type of rows into tables with the columns of one topic."""
+    """Conversions and checks that `checked` applies to tables of one topic whose rows have one numpy type."""
 
     fits: bool  # whether the rows can stay unchanged
-    dtype: np.dtype[np.void]  # row type of the result otherwise
+    dtype: np.dtype[np.void]  # row type of the result
     absent: tuple[Column, ...]  # columns that get their default
     numbers: tuple[tuple[Column, int], ...]  # columns with bounded values, and their offsets in a row
     texts: tuple[Column, ...]  # columns whose values must be text
@@ -214,10 +216,11 @@ class _Plan:
 
 @functools.lru_cache(maxsize=256)  # few types of rows exist
 def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
-    """Return the plan for turning tables with rows of the type `found` into tables of a topic.
+    """Return the conversions and checks for tables of `topic` whose rows have the numpy type `found`.
 
     Raises:
-        CodecError: a column of the topic or of `needs` is missing, or a column has another type.
+        CodecError: a column of `needs`, or one of the topic without a default, is missing, or a column has a type that
+            cannot be widened to that of the topic.
     """
     there = {name: found[name] for name in found.names or ()}
     kinds = [(column.name, np.dtype(column.kind)) for column in topic.fields]
@@ -254,12 +257,14 @@ def _fitted(rows: NDArray[np.void], plan: _Plan) -> NDArray[np.void]:
 
 @entry(BYTES, int, int, float, float, bool, returns=int)
 def _first_wrong(data: NDArray[np.uint8], offset: int, step: int, least: float, most: float, whole: bool) -> int:
-    """Return the index of the first row with a number that is not allowed, or the number of rows if there is none.
+    """Check one column of 64-bit floats, and return the index of the first row whose number is not allowed.
+
+    NaN is never allowed. If all numbers are allowed, the result is the number of rows.
 
     Args:
-        data: the rows as bytes.
-        offset: position of the number in a row.
-        step: number of bytes per row.
+        data: bytes of the rows, one row after the other.
+        offset: position of the column in a row [bytes].
+        step: length of a row [bytes].
         least: smallest number that is allowed.
         most: largest number that is allowed.
         whole: whether only integers are allowed.
@@ -299,9 +304,11 @@ def _decode(data: Buffer) -> Table:
 
 @attrs.frozen
 class _Head:
-    """Head of a message: the bytes between the stamp and the data, and their content.
+    """Head of a serialised PointCloud2: the bytes between its stamp and its data (`content`), and what they mean.
 
-    All blocks of a stream have the same head: that of a known message of the same length is compared instead of parsed.
+    `end` is the offset of the data in the message. All messages of a stream of tables usually have the same head, so
+    `_decode` first compares it with the remembered head of a message of the same length, and parses it only if it
+    differs.
     """
 
     content: bytes
@@ -311,11 +318,11 @@ class _Head:
     dtype: np.dtype[np.void]
 
 
-_heads: dict[int, _Head] = {}  # the newest head, by the length of its message
+_heads: dict[int, _Head] = {}  # the head that was parsed last, by the length [bytes] of its message
 
 
 def _head(view: memoryview) -> _Head:
-    """Parse the head of a serialised PointCloud2, and check that the rest of the message has the length it states."""
+    """Parse the head of a serialised PointCloud2, and check that the data after it have the stated length."""
     cursor = _Cursor(view, _HEADER.size)
     frame_id = cursor.text("frame_id")
     height, width = cursor.u4("height"), cursor.u4("width")
@@ -325,13 +332,14 @@ def _head(view: memoryview) -> _Head:
     row_step, length = cursor.u4("row_step"), cursor.u4("length of data")
     if not row_step == length == width * dtype.itemsize:
         raise CodecError(
-            f"row_step {row_step} and length of data {length} must be width * point_step = {width} * {dtype.itemsize}"
+            f"row_step and length of data must both be width * point_step = {width} * {dtype.itemsize}, "
+            f"got {row_step} and {length}"
         )
     start = cursor.take(length, "data")
     cursor.u1("is_dense")
     trailing = len(cursor.view) - cursor.position
     if trailing > _MAX_TRAILING:
-        raise CodecError(f"{trailing} bytes follow the end of the message, allowed are {_MAX_TRAILING}")
+        raise CodecError(f"{trailing} bytes follow the end of the message, at most {_MAX_TRAILING} are allowed")
     return _Head(bytes(view[_HEADER.size : start]), start, frame_id, width, dtype)
 
 
@@ -367,7 +375,7 @@ def header_stamp_ns(data: Buffer) -> int:
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     """Return stamp [ns] and (positions, velocities, efforts) of a serialised `sensor_msgs/JointState`.
 
-    Each is an array of shape (n,), which is empty if the message has no such values.
+    Each of the three is an array of shape (n,), which is empty if the message does not contain it.
 
     Raises:
         CodecError: `data` is not a JointState in little-endian CDR.
@@ -397,12 +405,12 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 
 
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
-    """Return the first members of a serialised message of any type, by path: a number, a text, or a tuple of numbers.
+    """Return the leading members of a serialised message of any type: path -> number, text, or tuple of numbers.
 
     Args:
         data: the message.
-        members: path, primitive type and count of each member, in order from the first one of the message on. A text
-            must have the count 1.
+        members: path (a name for the result), primitive ROS type and count of each member, in the order of the message
+            and without a gap from its first member on. A text must have the count 1.
 
     Raises:
         CodecError: a member is neither a primitive number nor a text, or the message ends before it.
@@ -435,24 +443,24 @@ def text(data: Buffer) -> str:
     """Return the content of a serialised `std_msgs/String`.
 
     Raises:
-        CodecError: `data` is too short, or its text is not UTF-8 that ends with its only NUL.
+        CodecError: `data` is too short, or its text is not UTF-8 with a NUL at its end and no other NUL.
     """
     return _Cursor(memoryview(data).cast("B"), _ORIGIN).text("data")
 
 
 @attrs.define
 class _Cursor:
-    """Reader of a CDR stream that never reads beyond its end."""
+    """Reader of a CDR stream: raises a CodecError, which names the member `what`, instead of reading beyond the end."""
 
     view: memoryview
     position: int
 
     def take(self, count: int, what: str) -> int:
-        """Skip `count` bytes and return their offset."""
+        """Advance by `count` bytes, and return the offset of the first of them."""
         start = self.position
         if count > len(self.view) - start:
             left = max(len(self.view) - start, 0)
-            raise CodecError(f"{what} needs {count} bytes at offset {start}, only {left} left")
+            raise CodecError(f"message ends too early: {what} needs {count} bytes at offset {start}, only {left} left")
         self.position = start + count
         return start
 
@@ -476,7 +484,7 @@ class _Cursor:
         start = self.take(length, what)
         raw = bytes(self.view[start : start + length])
         if raw.find(0) != length - 1:
-            raise CodecError(f"{what} must end with its only NUL, got {raw[:40]!r}")
+            raise CodecError(f"{what} must end with a NUL byte and contain no other, got {raw[:40]!r}")
         try:
             return raw[:-1].decode("utf-8")
         except UnicodeDecodeError as error:
@@ -484,7 +492,7 @@ class _Cursor:
 
 
 def _layout(cursor: _Cursor) -> np.dtype[np.void]:
-    """Read the members `fields` to `point_step` of a PointCloud2, and return the type of its rows."""
+    """Read the members `fields`, `is_bigendian` and `point_step` of a PointCloud2, and return the type of its rows."""
     columns = _columns(cursor)
     if cursor.u1("is_bigendian"):
         raise CodecError("big-endian data (is_bigendian is set) is not supported")
@@ -492,7 +500,7 @@ def _layout(cursor: _Cursor) -> np.dtype[np.void]:
 
 
 def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
-    """Read the member `fields` of a PointCloud2, and return numpy format and offset in a row for each column's name."""
+    """Read the member `fields` of a PointCloud2, and return its columns: name -> (numpy format, offset in a row)."""
     count = cursor.u4("number of fields")
     if not 1 <= count <= MAX_COLUMNS:
         raise CodecError(f"number of fields must be 1 to {MAX_COLUMNS}, got {count}")
@@ -503,13 +511,16 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
         if not name or name in columns:
             raise CodecError(f"names of fields must be unique and not empty, got {name!r}{' twice' if name else ''}")
         if datatype not in _FORMAT_OF_DATATYPE:
-            raise CodecError(f"datatype of {name!r} must be 1 to 8, got {datatype}")
+            raise CodecError(f"datatype of field {name!r} must be 1 to 8 (INT8 to FLOAT64), got {datatype}")
         if repeat == 1:
             columns[name] = (_FORMAT_OF_DATATYPE[datatype], offset)
         elif datatype == _UINT8 and repeat == _TEXT_DTYPE.itemsize:
             columns[name] = (TEXT, offset)
         else:
-            raise CodecError(f"count of {name!r} must be 1, or {_TEXT_DTYPE.itemsize} for UINT8 (text), got {repeat}")
+            raise CodecError(
+                f"count of field {name!r} must be 1, or {_TEXT_DTYPE.itemsize} for a text (datatype {_UINT8}, UINT8), "
+                f"got {repeat}"
+            )
     return columns
 
 
@@ -521,7 +532,7 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
     end = 0
     for name, (fmt, offset) in sorted(columns.items(), key=lambda item: item[1][1]):
         if offset < end:
-            raise CodecError(f"field {name!r} at offset {offset} overlaps its neighbour, which ends at {end}")
+            raise CodecError(f"field {name!r} at offset {offset} overlaps the field before it, which ends at {end}")
         end = offset + np.dtype(fmt).itemsize
     # limit of NumPy; a larger point can only occur with width 0, since all of its bytes must be in the message
     if not end <= point_step < 2**31:
@@ -532,10 +543,11 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
 
 @functools.lru_cache(maxsize=64)  # few dtypes and frames exist
 def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, bytes]:
-    """Return the bytes that all PointCloud2 messages of this row type and frame share.
+    """Return the two parts of a PointCloud2 that all messages of this row type and frame have in common.
 
-    These are two parts: frame_id and height, and the members from `fields` to `point_step`. They are cached, because
-    building them costs ten times as much as the rest of a message.
+    The first contains frame_id and height, the second the members from `fields` to `point_step`; the width stands
+    between them in the message. They are cached, because building them costs ten times as much as the rest of a
+    message.
     """
     if dtype.fields is None or not dtype.names:
         raise CodecError(f"rows must be a structured array with at least one column, got {dtype}")
@@ -563,7 +575,7 @@ def _datatype(name: str, column: np.dtype[np.generic]) -> tuple[int, int]:
         return _UINT8, _TEXT_DTYPE.itemsize
     if column not in _DATATYPE_OF:
         allowed = ", ".join([*map(str, _DATATYPE_OF), TEXT])
-        raise CodecError(f"column {name!r} must be one of {allowed}, got {column}")
+        raise CodecError(f"type of column {name!r} must be one of {allowed}, got {column}")
     return _DATATYPE_OF[column], 1
 
 

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Common style of all drawings: colours by meaning, type and lines, legends, light and dark themes.
+"""Common style of all drawings: colours by meaning, fonts and lines, legends, light and dark themes.
 
 A figure is drawn once, in the light colours, and exported to files and as SVG within an HTML page. On the page, each
 colour is a CSS variable that follows the theme. matplotlib is imported when the first figure is drawn. The series
@@ -105,7 +105,7 @@ STYLE: dict[str, object] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the common style of drawings to matplotlib within a block or, as a decorator, a function."""
+    """Apply the common style of drawings to matplotlib within a `with` block or, as a decorator, within a function."""
     from cycler import cycler  # noqa: PLC0415  # a second of import: only for drawing
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -118,7 +118,9 @@ def style() -> Iterator[None]:
 def new_axes(
     height_inch: float = 3.0, ratios: Sequence[float] = (1.0,), width_inch: float = WIDTH_INCH, *, share: bool = True
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure, free of pyplot's global state, and its axes one above the other; call this within `style`.
+    """Return a new figure and its axes, from top to bottom; call this within `style`.
+
+    The figure is not registered in pyplot, so it needs no closing.
 
     Args:
         height_inch: height of the figure [inch].
@@ -136,12 +138,12 @@ def new_axes(
 
 
 def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
-    """Place one legend for several axes below the lowest ones of a figure, where it hides nothing.
+    """Place one legend for several axes of a figure below the lowest of these axes, where it hides nothing.
 
     Args:
         axis: lowest axes of the figure.
         columns: number of columns of the legend.
-        others: further axes, whose entries are listed first; equal labels are listed once.
+        others: further axes, whose entries are listed before those of `axis`; equal labels are listed once.
     """
     from matplotlib.transforms import ScaledTranslation  # noqa: PLC0415  # as above
 
@@ -160,11 +162,11 @@ def legend_below(axis: Axes, columns: int, *others: Axes) -> None:
 
 
 def legend_outside(figure: Figure, axis: Axes, columns: int, **more: Any) -> None:
-    """Place the legend of one axes below all axes of a figure, in as many columns as its width has room for.
+    """Place the legend of one axes below all axes of a figure, in as many columns as fit into the figure's width.
 
     Args:
         figure: figure with constrained layout.
-        axis: axes whose entries are listed; without any there is no legend.
+        axis: axes whose entries are listed; if it has none, there is no legend.
         columns: largest number of columns.
         more: further arguments of `Figure.legend`.
     """
@@ -178,11 +180,11 @@ def legend_outside(figure: Figure, axis: Axes, columns: int, **more: Any) -> Non
 
 @attrs.frozen(eq=False)
 class Line:
-    """Numbers of one case in a drawing, such as a curve, for the CSV file next to the figure.
+    """Numbers of one curve or point set of a drawing, for the CSV file next to the figure.
 
     Attributes:
-        label: label of the case in the legend.
-        columns: values by name with unit; all of one length.
+        label: label of the curve in the legend.
+        columns: name with unit -> values, one per point; all columns have the same length.
     """
 
     label: str
@@ -216,20 +218,29 @@ class Drawn:
         return f"f-{names.identifier(self.name)}"
 
     def inline(self) -> str:
-        """Return the drawing as an `svg` element for an HTML page, with colours as variables and unique identifiers."""
+        """Return the drawing as an `svg` element for an HTML page.
+
+        Its colours are CSS variables, its identifiers are unique on the page, and its size is left to the page: the
+        element has no height, and its width is in `data-width`.
+        """
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)
         return re.sub(r'<svg height="[^"]*"', "<svg", body, count=1).replace(' width="', ' data-width="', 1)
 
     def _of_page(self, tag: re.Match[str]) -> str:
-        """Return an SVG tag for use in a page: colours become variables, and `identifier` precedes the tag's own one.
+        """Return an SVG tag for use in an HTML page.
 
-        So no two drawings of a page have an identifier in common.
+        Colours become CSS variables. Each identifier, and each reference to one, gets the prefix `identifier`, so that
+        no two drawings of a page have an identifier in common.
         """
         return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
-        """Return the numbers of all `lines` as CSV, one row per point with its case; empty if there are none."""
+        """Return the numbers of all `lines` as CSV text, which is empty if there are no lines.
+
+        Each row is one point: the label of its line (column `case`), then its values. A column that the line does not
+        have is left empty.
+        """
         columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
@@ -244,7 +255,7 @@ class Drawn:
         return text.getvalue()
 
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
-        """Write the figure to a folder, one file `NAME.FORMAT` per format, and its numbers, if any, as `NAME.csv`.
+        """Write the figure to a folder as one file `NAME.FORMAT` per format, and the numbers of `lines` as `NAME.csv`.
 
         Existing files are replaced.
         """
@@ -258,7 +269,7 @@ class Drawn:
 def rendered(figure: Figure, kind: str, name: str) -> bytes:
     """Return the content of a file with a figure in the format `kind`, one of `names.FIGURE_FORMATS`.
 
-    Equal drawings with equal `name` give equal bytes.
+    `name` only seeds the identifiers within an SVG: equal figures with equal names give equal bytes.
     """
     from matplotlib import rc_context  # noqa: PLC0415  # as above
 
@@ -275,10 +286,12 @@ def rendered(figure: Figure, kind: str, name: str) -> bytes:
 
 
 def plain_texts(figure: Figure) -> None:
-    """Change the texts of a figure so that none acts as a command or is wider than the figure; call before layout.
+    """Change titles, labels and legends of a figure so that matplotlib draws them literally and within its width.
 
-    Titles, labels and legends may contain names from outside. Only the project's own symbols, such as `$x_1$`, stay
-    formulas; long lines are wrapped. The numbers at the axes, which matplotlib writes, stay.
+    They may contain names from outside, which matplotlib could read as formulas. Only the project's own symbols, such
+    as `$x_1$`, stay formulas. Very long texts are cut, and lines that are wider than the figure are wrapped. The
+    numbers at the axes, which matplotlib writes, are not changed. Call this before the layout of the figure is
+    computed.
     """
     titles, labels, legends = [*figure.texts], [], [*figure.legends]
     for axis in figure.axes:
@@ -296,7 +309,10 @@ def plain_texts(figure: Figure) -> None:
 
 @contextlib.contextmanager
 def any_glyph() -> Iterator[None]:
-    """Suppress matplotlib's warning about characters that its font lacks: a PNG shows boxes, an SVG has the text."""
+    """Suppress, within a `with` block, matplotlib's warning about characters that its font lacks.
+
+    A PNG then shows boxes instead of these characters; an SVG contains them as text.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
@@ -308,7 +324,7 @@ def variables(dark: bool) -> str:
 
 
 def themed(svg: str) -> str:
-    """Return an SVG text in which each colour of the light theme is replaced by its CSS variable."""
+    """Return SVG source in which each colour of the light theme is replaced by its CSS variable."""
     for light, name in NAMES.items():
         svg = svg.replace(light, f"var(--{name})")
     return svg

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""The exceptions of impact_rig, one type per kind of mistake; a message names the mistake and what is allowed."""
+"""The exceptions of impact_rig, one type per kind of mistake, and functions that word their messages."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ LONGEST_WORD = 100  # longest word that is compared: the time grows with its len
 
 
 def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mean {}?", otherwise: str = "") -> str:
-    """Return a hint for the message about an unknown word, as a text to append.
+    """Return a hint to append to an error message about an unknown word.
 
-    It is `question` with the most similar known word in its braces, or `otherwise` if no known word is similar.
+    The hint is `question` with its braces replaced by the word of `known` that is most similar to `word`, or
+    `otherwise` if none is similar.
     """
     close = difflib.get_close_matches(word[:LONGEST_WORD], list(known), n=1)
     return question.format(close[0]) if close else otherwise
@@ -110,8 +111,8 @@ class RecordingError(ImpactRigError, OSError):
 class GoneError(ImpactRigError, RuntimeError):
     """A rig, analysis or recorder that this program uses has ended, or was replaced; also a `RuntimeError`.
 
-    It cannot answer any request. The message names the process, with the end of its log, or the request that a rig
-    did not answer.
+    That process will not answer any further request. The message names the process and quotes the end of its log, or
+    it names the request that a rig did not answer.
     """
 
 
@@ -123,7 +124,7 @@ class SimulationError(ImpactRigError, RuntimeError):
 
 
 def describe(error: BaseException) -> str:
-    """Return an unexpected error as text for users: type, message, and file and line that raised it, if known."""
+    """Return an unexpected error as text for users: `TYPE: MESSAGE (FILE:LINE)`, without the place if it is unknown."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

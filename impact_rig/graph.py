@@ -13,8 +13,8 @@
 # limitations under the License.
 """Description of a rig's ROS graph: nodes with their topics, services and clock, and names that a launch file remaps.
 
-With `impact_rig.topics` it is the one source of `docs/reference/interface.md`, `interface.json`, the SROS2 policy, the
-picture of the nodes and the remappings of the launch files. Tests compare it with the running nodes and call every
+`docs/reference/interface.md`, `interface.json`, the SROS2 policy, the picture of the nodes and the remappings of the
+launch files derive from this module and `impact_rig.topics`. Tests compare both with the running nodes and call every
 service in every situation. The module works without ROS.
 """
 
@@ -45,7 +45,7 @@ def resolve(name: str, namespace: str = "/", node: str = "") -> str:
 
 
 def frame_prefix(namespace: str, given: str = "") -> str:
-    """Return the prefix of the names of a rig's tf frames, by which several rigs can share one tf tree.
+    """Return the prefix for the names of a rig's tf frames, so that several rigs can share one tf tree.
 
     Args:
         namespace: namespace of the rig node; `/left/rig` gives `left/rig/`.
@@ -59,10 +59,10 @@ def frame_prefix(namespace: str, given: str = "") -> str:
 
 
 def clock_remapping(clock: str) -> tuple[str, str]:
-    """Return the remapping (from, to) by which a node publishes or follows the topic `clock` instead of `/clock`.
+    """Return the remapping (from, to) that makes a node publish or follow the topic named by `clock`, not `/clock`.
 
     ROS has one global `/clock`, but the rig times of two rigs differ. With the relative name `clock`, each namespace
-    has a clock of its own.
+    has its own clock topic.
     """
     return topics.CLOCK.name, clock
 
@@ -72,14 +72,18 @@ STATE_PUBLISHER_REMAPPINGS = (
     # the rig publishes its description again when its gap changes: there must be no second one under that name
     (topics.ROBOT_DESCRIPTION.name, f"robot_state_publisher/{topics.ROBOT_DESCRIPTION.name}"),
 )
-"""Remappings (from, to) of robot_state_publisher, by which it reads the true joint positions of a rig.
+"""Remappings (from, to) of robot_state_publisher, with which it reads the true joint positions of a rig.
 
-Its own description gets another name, so that only the rig publishes `robot_description`.
+The description that robot_state_publisher itself publishes gets another name, so that only the rig publishes
+`robot_description`.
 """
 
 
 class Situation(enum.StrEnum):
-    """Situation of a node: its lifecycle state, and within `active` what decides which inputs it accepts."""
+    """Situation of a node, which decides the inputs that it accepts: its lifecycle state, with four cases of `active`.
+
+    Only the rig node distinguishes the cases `PAUSED`, `LATCHED` and `PLUCKED`.
+    """
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -103,7 +107,8 @@ class Input:
         type_name: ROS interface; empty for a topic, whose type is in `impact_rig.topics`.
         node: node that accepts it.
         doc: its effect.
-        taken: situations in which the node accepts it; in all others it rejects and counts it, with a message.
+        taken: situations in which the node accepts it; in all others the node rejects it with a message, and counts
+            the rejection.
     """
 
     name: str
@@ -215,9 +220,9 @@ class Node:
     Attributes:
         name: name of the node.
         program: program that runs it.
-        publishes: topics in addition to those of `impact_rig.topics` that name it as publisher.
-        subscribes: topics that it reads.
-        subscribes_recorded: whether it also reads all topics that belong to every run.
+        publishes: topics that it publishes although `impact_rig.topics` names another publisher for them.
+        subscribes: topics that it subscribes to.
+        subscribes_recorded: whether it also subscribes to all topics with `Topic.recorded`.
         makes_time: whether it publishes the clock; other nodes follow it if rig time is not the system time.
     """
 
@@ -229,18 +234,30 @@ class Node:
     makes_time: bool = False
 
     def published(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that the node publishes, as relative names, without those of ROS itself."""
+        """Return the names of the topics of `table` that the node publishes, as in `impact_rig.topics`.
+
+        The result contains `/diagnostics`, but not the topics of `ROS_TOPICS`.
+        """
         own = [topic.name for topic in table if topic.publisher in (self.name, topics.DIAGNOSTICS.publisher)]
         return [*own, *self.publishes]
 
     def subscribed(self, table: Iterable[topics.Topic]) -> list[str]:
-        """Return the topics that the node subscribes to, as relative names, with the clock if it follows one."""
+        """Return the names of the topics that the node subscribes to, as in `impact_rig.topics`.
+
+        The result contains `/clock`, unless the node makes the time itself.
+
+        Args:
+            table: all topics, of which a node with `subscribes_recorded` subscribes to the recorded ones.
+        """
         recorded = [topic.name for topic in table if topic.recorded] if self.subscribes_recorded else []
         clock = [] if self.makes_time else [topics.CLOCK.name]
         return list(dict.fromkeys((*self.subscribes, *recorded, *clock)))
 
     def services(self) -> list[str]:
-        """Return the services of the node, as private names, without those of ROS itself."""
+        """Return the services of the node as private names (`~/name`), without those of `ROS_SERVICES`.
+
+        The rig's include those of `SIMULATION_SERVICES`.
+        """
         own = [service.name for service in SERVICES if service.node == self.name]
         return [*own, *(SIMULATION_SERVICES.values() if self.makes_time else ())]
 

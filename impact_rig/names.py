@@ -68,7 +68,8 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 
     Args:
         text: text of any origin.
-        limit: number of characters kept of a longer text, half of them from its end; its length replaces the others.
+        limit: number of characters that are kept of a longer text, half from its start and half from its end; its
+            length is stated in between.
         lines: whether to keep line feeds; otherwise they are escaped as well.
     """
     if len(text) > limit:
@@ -104,8 +105,9 @@ def file_name(text: str) -> str:
         text: any name.
 
     Returns:
-        One component of a path: at most 100 ASCII letters, digits and `._+=,-`, neither empty nor hidden. A name that
-        already is one stays as it is; any other ends with a digest of `text`, so that different names stay different.
+        One component of a path: 1 to 100 ASCII letters, digits and `._+=,-`, without a leading point. A name that
+        already has this form is returned unchanged. Any other gets a digest of `text` at its end, so that different
+        names stay different.
     """
     plain = re.sub(r"[^\w.+=,-]+", "_", text).lstrip(".-")
     if plain == text and 0 < len(text) <= LONGEST_FILE_NAME and text.isascii():
@@ -117,8 +119,8 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
 
-    A text that already is one, or has only `_` in place of `-`, is kept. Any other gets the prefix `n-` and a digest,
-    so that different texts stay different.
+    A text that is an identifier after each `_` has become `-` is returned like that, so `a_b` and `a-b` give the same.
+    Any other text gets the prefix `n-` and a digest at its end, so that different texts stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
@@ -129,8 +131,9 @@ def identifier(text: str) -> str:
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
     r"""Return a text for matplotlib, cut to `limit` characters, in which only this project's symbols are formulas.
 
-    The project's own labels contain symbols such as `$x_1$`, which matplotlib can always set. Any other dollar sign is
-    escaped, so that a name from outside is drawn as it is.
+    The project's own labels contain symbols such as `$x_1$`, which matplotlib can always set. If a text has a formula
+    of any other kind or a single dollar sign, all its dollar signs are escaped, so that a name from outside is drawn
+    literally.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)

@@ -11,38 +11,41 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rig time: integer nanoseconds, sample stamps computed from the index, and the command grid.
+"""Rig time: integer nanoseconds, stamps computed from the scan index, and the command grid.
 
-Rig time *is* the time of the data acquisition. The rig itself reads no wall clock; only the nodes do, to pace it. No
-period is ever accumulated: at 25 600 scans/s a period is 39 062.5 ns, so the stamp of scan i is
-`start_ns + i * 10**9 // rate_hz`.
+Rig time is the simulated time, in which the data acquisition counts its scans. The rig itself reads no wall clock; only
+the nodes do, to pace it. No stamp is computed by adding up rounded periods: at 25 600 scans/s a period is 39 062.5 ns.
+The stamp of scan i is `start_ns + i * 10**9 // rate_hz`.
 """
 
 from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
 COMMAND_GRID_NS = 10_000_000
-"""Length of a tick [ns]: commands take effect at the end of the last simulated tick, regardless of block length."""
+"""Length of a tick of the command grid [ns].
+
+A command takes effect at the end of the last tick that is already simulated, regardless of the block length.
+"""
 COMMAND_GRID_S = COMMAND_GRID_NS / NS_PER_S
 TICKS_PER_S = NS_PER_S // COMMAND_GRID_NS
 
 
 def stamp_ns(index: int, rate_hz: float, start_ns: int = 0) -> int:
-    """Return the rig time of scan `index` [ns], if scan 0 is at `start_ns`: exact for any rate, rounded down."""
+    """Return the rig time [ns] of scan `index`, if scan 0 is at `start_ns`: the exact time, rounded down."""
     over, under = rate_hz.as_integer_ratio()
     return start_ns + index * NS_PER_S * under // over
 
 
 def scan_index(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
-    """Return the index of the scan whose stamp is nearest to a rig time, if scan 0 is at `start_ns`: exact.
+    """Return the index of the scan nearest to a rig time, if scan 0 is at `start_ns`; negative before scan 0.
 
-    It is the inverse of `stamp_ns`, and negative for times before scan 0.
+    It is the inverse of `stamp_ns`, in integer arithmetic without rounding errors.
     """
     over, under = rate_hz.as_integer_ratio()
     return ((time_ns - start_ns) * over + under * NS_PER_S // 2) // (under * NS_PER_S)
 
 
 def first_scan_at(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
-    """Return the index of the first scan at or after a rig time, if scan 0 is at `start_ns`: exact."""
+    """Return the index of the first scan at or after a rig time, if scan 0 is at `start_ns`; without rounding error."""
     over, under = rate_hz.as_integer_ratio()
     return -(-(time_ns - start_ns) * over // (under * NS_PER_S))

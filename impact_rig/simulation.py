@@ -186,7 +186,7 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
 
 
 def _since_start(rig: LocalRig, topic: topics.Topic) -> NDArray[np.void]:
-    """Return all rows that a rig has published on a topic of tables, with `time` in seconds since stamp 0."""
+    """Return all rows that a rig has published on a table topic, with `time` in seconds since rig time 0."""
     rows = rig.rows(topic.name)
     tables = rig.tables(topic.name)
     rows["time"] += np.repeat([table.stamp_ns / NS_PER_S for table in tables], [len(table.rows) for table in tables])

@@ -36,7 +36,7 @@ KEYS = {
 
 
 class Word(enum.StrEnum):
-    """Word that programs compare, with its meaning for people in `doc`."""
+    """Word that a program can compare like a text; its attribute `doc` explains it to people."""
 
     doc: str
 
@@ -122,7 +122,7 @@ BY_NODE: dict[str, type[NodeWord]] = {
     "plot": PlotWord,
     "stepped_sine": SteppedSineWord,
 }
-"""Class with the states of each node, by the node's name; of several states that apply, the first is reported."""
+"""State words of each node, by the node's name; if several states apply, the node reports the one defined first."""
 
 
 class Status(Word):
@@ -178,9 +178,9 @@ SETTLED = (
     Status.ACCELEROMETER_UNSOUND,
     Status.CURRENT_UNSOUND,
 )
-"""Statuses of rows with DT of a settled response."""
+"""Statuses of rows of `transmissibility/table` that contain the DT of a settled response."""
 MEASURED = frozenset({*SETTLED, Status.NOT_SETTLED})
-"""Statuses of rows that have numbers: DT of a settled response, or of one that may still change."""
+"""Statuses of rows with numbers: DT of a settled response, or of one that still changes (`not_settled`)."""
 
 
 class Regime(Word):

@@ -14,10 +14,10 @@
 """The table of topics: name, type, quality of service, publisher and content of each.
 
 Publishers, subscribers, recordings, the analysis of runs and `docs/reference/interface.md` use this table; nothing
-about a topic is written twice. Only the number of messages of a topic of `BULKY` that a rig keeps depends on its
-configuration, see `nodes.publishers.Publishers`. The table needs no ROS: `impact_rig.nodes.messages` converts its rows
-for rclpy. Names are relative: a launch file puts them under one namespace, except the two that are global by
-convention.
+about a topic is written twice. One value depends on the configuration of a rig: the queue length of the topics of
+`BULKY`, see `nodes.publishers.Publishers`. The table needs no ROS: `impact_rig.nodes.messages` converts its rows for
+rclpy. Names are relative, so a launch file can put them under one namespace. Only `/diagnostics` and `/clock` are
+global by convention.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Qos(enum.Enum):
 
     @property
     def transient_local(self) -> bool:
-        """Return whether a late subscriber receives messages that were published before it subscribed."""
+        """Return whether a late subscriber receives the last `depth` messages published before it subscribed."""
         return self.value[1]
 
 
@@ -71,9 +71,10 @@ class Topic:
         fields: columns of a table, or the fields that are filled in another message.
         columns: row type of a table; None for a topic without tables.
         frame_id: frame of the messages.
-        recorded: whether it belongs to every run; data for plotters can be derived from the recorded topics.
-        further: numpy type of the columns that may follow `fields` in a table; empty: any, as a later version may add
-            columns.
+        recorded: whether the recorder writes it to every run. Topics for plotters are not recorded: their data can be
+            derived from the recorded ones.
+        further: numpy type that all columns after `fields` in a table must have; empty: any type, since a later version
+            may add columns.
     """
 
     name: str
@@ -96,7 +97,7 @@ def _table(name: str, qos: Qos, publisher: str, fields: tuple[Column, ...], doc:
 
 
 def former_table(name: str, fields: tuple[Column, ...]) -> Topic:
-    """Return the description of a topic of tables that only recordings of an earlier version contain."""
+    """Return the description of a former table topic, which only recordings of an earlier version contain."""
     return _table(name, Qos.HISTORY, "rig", fields, "")
 
 

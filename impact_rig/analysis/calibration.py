@@ -84,9 +84,10 @@ ACROSS = np.linspace(-1.0, 1.0, 9)
 
 
 def bessel_j_1(x: Real) -> Real:
-    """Return the Bessel function J_1 to 1e-12 for |x| <= J_1_NODES / 2, any shape, as the mean of cos(θ − x sin θ).
+    """Return the Bessel function J_1 of each element of `x`, as the mean of cos(θ − x sin θ) over θ.
 
-    `scipy.special.j1` is equal, but takes 60 MB of memory in a node that runs for days.
+    The error is below 1e-12 for |x| <= J_1_NODES / 2. `scipy.special.j1` gives the same, but importing it would take
+    60 MB of memory in a node that runs for days.
     """
     angle = 2.0 * np.pi * np.arange(J_1_NODES) / J_1_NODES
     return np.asarray(np.cos(angle - x[..., None] * np.sin(angle)).mean(axis=-1))
@@ -151,8 +152,8 @@ class Calibration:
         counts = np.array([names.count(channel) for channel in CHANNELS])
         if counts.max() != 1:
             raise ConfigError(
-                f"daq/info must have at least one row and no two of the same channel, of {', '.join(CHANNELS)}, got "
-                f"{', '.join(names) or 'none'}; correct the program that publishes it"
+                f"daq/info must list at least one of the channels {', '.join(CHANNELS)}, and none of them twice, got "
+                f"{', '.join(names) or 'no rows'}; correct the program that publishes it"
             )
         present = counts == 1
         measured = [names.index(channel) for channel in CHANNELS if channel in names]
@@ -230,8 +231,8 @@ class Calibration:
         """Return the relative standard uncertainty of a channel's gain for a vibration about mid-range.
 
         `amplitude` is that of the vibration [unit of the channel]. `gain_uncertainty` holds for a small vibration and
-        includes the slope 1.5 c L/R of the sensor's curve at mid-range. A vibration of amplitude a·R sees the part (1.5
-        − 1.875 a²) c L/R of it (module docstring).
+        includes the slope 1.5 c L/R of the sensor's curve at mid-range. For a vibration of amplitude a·R, that slope is
+        replaced by (1.5 − 1.875 a²) c L/R (module docstring).
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         curve = float(self.linearity[channel]) / half_range * U_CUBIC
@@ -240,9 +241,10 @@ class Calibration:
         return math.sqrt(max(small - (1.5 * curve) ** 2, 0.0) + ((1.5 - 1.875 * share**2) * curve) ** 2)
 
     def curvature_uncertainty(self, channel: int, amplitude: float) -> float:
-        """Return the standard uncertainty of the relative change of a channel's gain due to the curve of its sensor.
+        """Return how uncertain the ratio of a channel's gains at two amplitudes is, because its sensor is not linear.
 
-        The change is that from a small vibration to one of `amplitude` [unit of the channel].
+        It is the relative standard uncertainty of the gain for a vibration of `amplitude` [unit of the channel] divided
+        by the gain for a very small vibration.
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         return float(self.linearity[channel]) / half_range * U_CUBIC * 1.875 * (amplitude / half_range) ** 2
@@ -250,7 +252,7 @@ class Calibration:
     def steps_uncertainty(self, channel: int, amplitude: float) -> float:
         """Return the standard uncertainty of a measured amplitude due to the steps of sensor and converter.
 
-        Both are in the unit of the channel.
+        Result and `amplitude` are in the unit of the channel.
         """
         place, weight = self._roundings[channel]
         power = np.minimum(
@@ -276,7 +278,10 @@ class Calibration:
         return [self._rounding(channel) for channel in range(len(CHANNELS))]
 
     def _rounding(self, channel: int) -> tuple[Real, Real]:
-        """Return a [1/unit] and c [unit] of the sines c sin(a·value) that make up the error of rounding, shape (n,)."""
+        """Return a [1/unit] and c [unit] of the n sines c sin(a·value) whose sum is the error of rounding.
+
+        Each of the two arrays has shape (n,); n is 0 for a channel without steps.
+        """
         r, q = float(self.output_step[channel]), float(self.converter_step[channel])
         blur_r, blur_q = float(self.output_noise[channel]), float(self.converter_noise[channel])
         order = np.arange(1.0, TERMS + 1.0)
@@ -297,9 +302,10 @@ class Calibration:
         return np.concatenate(places), np.concatenate(weights)
 
     def noise_crowding(self) -> Real:
-        """Return the noise density of each channel at low frequencies relative to white noise of its rms, shape (4,).
+        """Return the noise density of each channel at low frequencies, relative to white noise of the same rms.
 
-        White noise fills the band up to rate / 2; noise that a sensor limits to a narrower band is denser.
+        White noise, with the result 1, fills the band up to rate / 2. Noise that a sensor limits to a narrower band is
+        denser, with a result above 1. The shape is (4,).
         """
         noise_band = TWO_POLE_NOISE * np.where(self.bandwidth > 0.0, self.bandwidth, np.inf)
         return np.asarray(np.maximum(1.0, self.rate_hz / (2.0 * noise_band)), dtype=np.float64)
@@ -307,9 +313,10 @@ class Calibration:
     def lag_uncertainties(self, channel: int, frequency_hz: float, lag_uncertainty: float) -> tuple[float, float]:
         """Return the standard uncertainties of a channel's amplitude (relative) and phase [rad] due to its lag.
 
-        `lag_uncertainty` is the relative standard uncertainty of the lag. A pure delay omits the attenuation by a
-        low-pass of two or more poles with the corner `bandwidth`: at most 1 − 1/√(1 + (f/bandwidth)⁴), uniformly
-        distributed.
+        `lag_uncertainty` is the relative standard uncertainty of the lag. A channel whose lag is modelled as a pure
+        delay (`lag_order` 0) has an additional uncertainty of its amplitude, because the model omits the attenuation by
+        the sensor's low-pass. With two or more poles and the corner `bandwidth`, it is at most
+        1 − 1/√(1 + (f/bandwidth)⁴), and is taken as uniformly distributed up to that.
         """
         slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         left_out = 0.0

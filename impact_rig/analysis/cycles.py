@@ -56,11 +56,11 @@ PHASE_BINS = 64
 
 @attrs.frozen(eq=False)
 class Cycles:
-    """Fits of n consecutive complete drive cycles: 4 channels in the order of `scans.CHANNELS`, some harmonics."""
+    """Fits of n consecutive complete drive cycles, for the 4 channels of `scans.CHANNELS` and H harmonics."""
 
     first: NDArray[np.int64]  # index of each cycle's first scan, counted like `Accumulator.origin`, shape (n,)
     samples: NDArray[np.int64]  # scans per cycle, shape (n,)
-    phasors: Complex  # Y_n in the channel's unit, drive phase zero at the origin, shape (n, 4, harmonics)
+    phasors: Complex  # Y_n in the channel's unit, for drive phase zero at the origin, shape (n, 4, H)
     mean: Real  # mean per cycle, shape (n, 4)
     variance: Real  # variance about the mean per cycle, shape (n, 4)
     residual: Real  # residual sum of squares of the fit, shape (n, 4)
@@ -86,7 +86,7 @@ class Cycles:
     def residual_variance(self) -> Real:
         """Residual variance per scan and channel of the fits of all cycles together [unit²], shape (4,).
 
-        Zero if the fits have as many unknowns as scans: they leave no residual and tell nothing about the noise.
+        It is zero if the fits have as many unknowns as scans: they then leave no residual, and the noise is unknown.
         """
         return np.asarray(self.residual.sum(axis=0) / max(1, self.degrees_of_freedom), dtype=np.float64)
 
@@ -95,7 +95,7 @@ class Cycles:
 
 
 def concatenate(parts: list[Cycles]) -> Cycles:
-    """Join groups of cycles into one; each group continues the one before."""
+    """Join groups of cycles into one group; each group must begin where the one before it ends."""
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
@@ -107,11 +107,11 @@ A lower one comes from damaged data, and its period in scans would not fit into 
 
 
 def distinct_phases(samples: int, period: float) -> int:
-    """Return the number of distinct drive phases in a run of samples: all its samples, or fewer if phases recur.
+    """Return at how many distinct drive phases the samples of a record lie: `samples`, or fewer if phases recur.
 
-    If a few cycles hold an integer number of samples, the same phases recur, and rounding adds the same error to each
-    of them every time. Phases recur if they drift by less than half a sample within the run. `period` is the number of
-    samples per cycle, fractions included.
+    If some small number of cycles holds an integer number of samples, the same phases recur, and the rounding error of
+    a sample is the same each time. Phases count as recurring if they drift by less than half a sample within the
+    record. `period` is the number of samples per cycle, fractions included.
     """
     for cycles in range(1, int(samples / period / 2.0) + 1):
         drift = abs(cycles * period - round(cycles * period)) * samples / (cycles * period)
@@ -121,7 +121,11 @@ def distinct_phases(samples: int, period: float) -> int:
 
 
 def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
-    """Return how many of the wanted harmonics are safely below half the scan rate; 0 for an unmeasurable frequency."""
+    """Return how many of the wanted harmonics of a drive frequency can be fitted; 0 if it cannot be measured at all.
+
+    The highest one stays below 0.45 times the scan rate. A frequency cannot be measured if it is not finite, below
+    `LOWEST_HZ`, or has fewer than `MIN_SAMPLES_PER_CYCLE` scans per cycle.
+    """
     if (
         not (math.isfinite(frequency_hz) and frequency_hz >= LOWEST_HZ)
         or rate_hz / frequency_hz < MIN_SAMPLES_PER_CYCLE
@@ -132,7 +136,7 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
 
 
 class Accumulator:
-    """Accumulator that reduces a stream of scans to fits of its drive cycles; its state is a few dozen numbers.
+    """Accumulator that reduces a stream of scans to sums, one set per drive cycle, and fits the cycles from them.
 
     Args:
         rate_hz: scans per second.
@@ -141,10 +145,10 @@ class Accumulator:
         origin: index of the scan at which cycle 0 starts.
         low: largest value that counts as below the range of each channel, shape (4,).
         high: smallest value that counts as above it, shape (4,).
-        capacity: number of cycles that one call of the kernel can complete.
+        capacity: largest number of cycles that one call of the compiled function completes; it does not limit `add`.
 
     Attributes:
-        origin: as given.
+        origin: index of the scan at which cycle 0 starts.
         period: scans per drive cycle, fractions included.
     """
 
@@ -179,7 +183,7 @@ class Accumulator:
 
     @property
     def pending_cycles(self) -> int:
-        """Number of complete cycles that `take` can return."""
+        """Number of complete cycles that `take` has not returned yet."""
         return int(self._place[1]) - self._cycle
 
     def end(self, count: int) -> int:
@@ -187,7 +191,10 @@ class Accumulator:
         return self.origin + math.ceil((self._cycle + count) * self.period)
 
     def add(self, samples: Real, status: NDArray[np.uint8], begin: int, end: int) -> None:
-        """Accumulate the next scans: columns begin <= i < end of a buffer of shapes (4, capacity) and (capacity,)."""
+        """Accumulate the next scans of the stream, which are the columns begin <= i < end of a `ScanBuffer`.
+
+        `samples` has shape (4, capacity of the buffer), `status` has shape (capacity of the buffer,).
+        """
         while begin < end:
             done, begin = _accumulate(
                 samples, status, begin, end, self._low, self._high, self.period, self._waves, self._place,
@@ -198,7 +205,7 @@ class Accumulator:
                 self._done.append(tuple(out[:done].copy() for out in (self._out, self._out_flags, self._out_jump)))
 
     def take(self, count: int) -> Cycles:
-        """Fit and remove the oldest `count` complete cycles, and return them.
+        """Fit the oldest `count` complete cycles, remove them from the accumulator, and return their fits.
 
         Raises:
             ValueError: fewer than `count` cycles are complete.
@@ -215,7 +222,10 @@ class Accumulator:
     def _fitted(
         self, sums: Real, flags: NDArray[np.int64], jump: Real, edges: NDArray[np.int64], numbers: NDArray[np.int64]
     ) -> Cycles:
-        """Fit every cycle from its sums, taken about its middle; refer the phasors to drive phase 0 at its start."""
+        """Fit every cycle from its sums.
+
+        The sums refer to the middle of each cycle, the phasors of the result to its start, where the drive phase is 0.
+        """
         samples, size = edges[1:] - edges[:-1], sums.shape[2] - 1
         right = sums[:, :, :size]
         with np.errstate(invalid="ignore", over="ignore"):
@@ -232,7 +242,10 @@ class Accumulator:
         return Cycles(self.origin + edges[:-1], samples, phasors, mean, variance, residual, flags, jump, *uncounted)
 
     def _inverse_for(self, samples: int) -> Real:
-        """Return the inverse normal matrix of a cycle of `samples` scans; it is kept, since only two numbers occur."""
+        """Return the inverse normal matrix of a cycle of `samples` scans.
+
+        It is computed once for each number of scans; cycles of one frequency have only two different numbers.
+        """
         found = self._inverse.get(samples)
         if found is None:
             step = 2.0 * np.pi / self.period
@@ -243,10 +256,16 @@ class Accumulator:
 
 
 def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonics: int) -> Real:
-    """Return the normal matrices of [1, cos φ, sin φ, cos 2φ, sin 2φ, …] in closed form.
+    """Return the normal matrices of fits with the columns [1, cos φ, sin φ, cos 2φ, sin 2φ, …] in closed form.
 
-    `phase` is φ of each run's first sample, `step` φ per sample [rad] with 2 H step < 2π, and `samples` the number of
-    samples of each run. Shapes (n,) and (n,); the result has shape (n, 2H+1, 2H+1).
+    Args:
+        phase: φ of the first sample of each of n fits [rad], shape (n,).
+        samples: number of samples of each fit, shape (n,).
+        step: increase of φ from one sample to the next [rad], with 2 H step < 2π.
+        harmonics: number H of harmonics.
+
+    Returns:
+        Normal matrices, shape (n, 2H+1, 2H+1).
     """
     order, difference, total, sign, at_cos, at_sin = _places(harmonics)
     count = samples[:, None]
@@ -280,7 +299,7 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
 
 @kernel
 def _outside(values: Reals, count: int, low: float, high: float) -> int:
-    """Return how many of the first `count` values are not strictly between two limits; NaN counts as outside."""
+    """Return how many of the first `count` values are not strictly between `low` and `high`; NaN counts as outside."""
     inside = 0
     for q in range(count):
         inside += (low < values[q]) & (values[q] < high)
@@ -289,7 +308,10 @@ def _outside(values: Reals, count: int, low: float, high: float) -> int:
 
 @kernel
 def _largest_change(values: Reals, count: int, before: float, largest: float) -> float:
-    """Return the largest change between successive values, of which `before` precedes the first; at least `largest`."""
+    """Return the largest absolute change from one of the first `count` values to the next, or `largest` if larger.
+
+    `before` is the value that precedes the first one.
+    """
     largest = _larger(abs(values[0] - before), largest)
     for q in range(1, count):
         largest = _larger(abs(values[q] - values[q - 1]), largest)
@@ -298,7 +320,7 @@ def _largest_change(values: Reals, count: int, before: float, largest: float) ->
 
 @kernel
 def _larger(change: float, largest: float) -> float:
-    """Return the larger of two numbers; `largest` if `change` is NaN, as for the first scan, which has no change."""
+    """Return the larger of two numbers, or `largest` if `change` is NaN: the first scan of all has no change."""
     return change if change > largest else largest
 
 
@@ -307,8 +329,8 @@ def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals)
     """Fold a stretch of scans about its middle, and add its values and their squares to two sums.
 
     `stretch` holds values by channel, shape (4, 2 half). `plain` and `square` are the sums of the cycle, shape (4,).
-    folded[0, q, j] is the sum of the values of channel j at q + ½ after and before the middle, folded[1, q, j] their
-    difference.
+    The result is `folded`: folded[0, q, j] is the sum of the two values of channel j that lie q + ½ scans after and
+    before the middle, folded[1, q, j] is the later minus the earlier one.
     """
     for j in range(4):
         total, squares_after, squares_before = 0.0, 0.0, 0.0
@@ -326,10 +348,10 @@ def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals)
 def _add_wave(
     at_cosine: Reals, at_sine: Reals, folded: Reals, wave: Reals, half: int, cosine: float, sine: float
 ) -> None:
-    """Add a folded stretch times cosine and sine of one harmonic to two sums of the cycle, shape (4,).
+    """Add a folded stretch, multiplied by cosine and sine of one harmonic, to the two sums of the cycle, shape (4,).
 
-    `wave` holds cosines and sines of the harmonic after the middle of the stretch, for phase 0 in the middle; `cosine`
-    and `sine` are those of its actual phase there.
+    `wave` holds cosines and sines of the harmonic at the scans after the middle of the stretch, as if its phase in the
+    middle were 0. `cosine` and `sine` are those of its actual phase in the middle.
     """
     even_0, even_1, even_2, even_3 = 0.0, 0.0, 0.0, 0.0
     odd_0, odd_1, odd_2, odd_3 = 0.0, 0.0, 0.0, 0.0
@@ -347,7 +369,11 @@ def _add_wave(
 
 @kernel
 def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: float, cosine: float, sine: float) -> None:
-    """Add the sums of channel j over a stretch, turned by the phase of its middle, to those of the cycle."""
+    """Add the sums of channel j over a stretch to those of the cycle, rotated by the phase at the stretch's middle.
+
+    `even` and `odd` are the sums with cosine and sine, for phase 0 in the middle; `cosine` and `sine` are those of the
+    actual phase there.
+    """
     at_cosine[j] += even * cosine - odd * sine
     at_sine[j] += even * sine + odd * cosine
 
@@ -380,12 +406,14 @@ def _accumulate(
     place: NDArray[np.int64], stretch: Real, folded: Real, sums: Real, last: Real, jump: Real, out: Real,
     out_flags: NDArray[np.int64], out_jump: Real,
 ) -> tuple[int, int]:  # fmt: skip
-    """Add scans begin <= i < end to the running sums; stop early if `out` is full. Return (cycles done, next scan).
+    """Add scans begin <= i < end to the running sums, and write the sums of each completed cycle to `out`.
 
-    `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the stretch under way].
-    `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j, finally Σ
-    value_j². A stretch is added when it is full or its cycle ends, regardless of the division into blocks; its phase
-    follows from its number.
+    It stops early if `out` is full. The result is (number of completed cycles, index of the next scan to add).
+
+    `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the unfinished stretch].
+    `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j for each function
+    of the fit; its last row is Σ value_j². A stretch is added when it is full or its cycle ends, regardless of the
+    division into blocks.
     """
     k, cycle, stop, flags, filled = place
     done = 0

@@ -40,9 +40,9 @@ SMOOTHED_SAMPLES = 11
 
 @style()
 def transmissibility_curves(curves: Mapping[str, NDArray[np.void]]) -> Figure:
-    """Draw DT over frequency with ±2u, and its phase below; each label has one curve of rows of measurements.
+    """Draw DT over frequency with error bars of ±2u, and the phase likewise below it.
 
-    The rows are those of `transmissibility/table`; rows without numbers are left out.
+    `curves` maps the label of each curve to its rows of `transmissibility/table`. Rows without numbers are left out.
     """
     from matplotlib.ticker import LogFormatter  # noqa: PLC0415  # heavy: imported only for drawing
 
@@ -76,14 +76,17 @@ def amplitudes(values: NDArray[np.float64], unit: str) -> str:
 
 
 TRACES = (("base", "b"), ("laser", "1"), ("accelerometer", "1"))
-"""Channels that `time_traces` draws, if they were measured, and the index of their symbol: b base, 1 structure."""
+"""Channels that `time_traces` draws if the scans have them, with the index of their symbol: b base, 1 structure."""
 MOTIONS = {"m": (1e3, "x", "mm"), "m/s": (1e3, "v", "mm/s"), "m/s^2": (1.0, "a", "m/s²"), "A": (1.0, "i", "A")}
 """Factor, symbol and unit with which a quantity is drawn, by its SI unit."""
 SI = {"accelerometer": "m/s^2", "laser": "m", "base": "m", "current": "A"}
 
 
 def symbol(index: str, unit: str) -> str:
-    """Return the symbol of a motion as TeX, such as `$x_1$`: letter by its SI unit, `index` 1 structure, b base."""
+    """Return the symbol of a motion as TeX, such as `$x_1$`.
+
+    The letter follows from its SI unit (x, v or a); `index` is 1 for the structure and b for the base.
+    """
     return f"${MOTIONS[unit][1]}_{index}$"
 
 
@@ -93,8 +96,13 @@ def time_traces(
 ) -> Figure:
     """Draw the motions of base and structure and the acceleration over time, with marks of impacts above the axes.
 
-    `impact_times` are on the time axis of the scans [s], shape (k,). `remark` is written above the acceleration.
-    `units` are the SI units of the channels.
+    Channels that the scans do not have are left out; if they have none of the three, the current is drawn.
+
+    Args:
+        rows: scans.
+        impact_times: instants of the marks on the time axis of the scans [s], shape (k,).
+        remark: text above the lowest axes.
+        units: SI unit of each channel, by name.
     """
     shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", "")]
     figure, axes = _axes(len(shown))
@@ -124,10 +132,14 @@ def time_traces(
 
 @style()
 def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name: str = "$x_1$") -> Figure:
-    """Draw velocity over displacement [m]; the velocity is the derivative of a cubic fitted to neighbouring samples.
+    """Draw velocity over displacement, where the velocity is the slope of a cubic fitted around each sample.
 
-    The fit spans `smooth_s`, at least 11 samples and at most all; motion that is faster than this is smoothed away with
-    the noise. `name` is the symbol of the displacement.
+    Args:
+        displacement: samples of the displacement [m], shape (n,).
+        rate_hz: samples per second.
+        smooth_s: time that each fit spans [s], but at least 11 samples and at most all. Faster motion is smoothed away
+            together with the noise.
+        name: symbol of the displacement.
     """
     samples = max(SMOOTHED_SAMPLES, 2 * round(smooth_s * rate_hz / 2.0) + 1)
     samples = min(samples, (len(displacement) - 1) // 2 * 2 + 1)
@@ -143,8 +155,8 @@ def phase_plane(displacement: Real, rate_hz: float, smooth_s: float = 0.0, name:
 def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, upto_hz: float | None = None) -> Figure:
     """Draw the amplitude spectrum of samples y: a sine of amplitude A has a line of height A (flat-top window).
 
-    The drive frequency `drive_hz` and its harmonics up to the tenth are marked, for 0 or None nothing. The axis ends at
-    `upto_hz`; for 0 or None at rate / 2.
+    The drive frequency `drive_hz` and its harmonics up to the tenth are marked, unless it is 0 or None. The frequency
+    axis ends at `upto_hz`, or at rate / 2 if that is 0 or None. `unit` is that of the samples.
     """
     frequency, power = scipy.signal.periodogram(y, rate_hz, window="flattop", scaling="spectrum", detrend="constant")
     end = upto_hz or rate_hz / 2.0
@@ -162,7 +174,7 @@ def spectrum(y: Real, rate_hz: float, unit: str, drive_hz: float | None = None, 
 
 @style()
 def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
-    """Draw |H1|, |H2| and |Hv|, the phase of H1, and the coherence of a frequency response between two frequencies."""
+    """Draw |H1|, |H2|, |Hv|, the phase of H1 and the coherence of a frequency response from `from_hz` to `upto_hz`."""
     shown = (found.frequency_hz >= from_hz) & (found.frequency_hz <= upto_hz)
     frequency = found.frequency_hz[shown]
     figure, (upper, middle, lower) = _axes(3)
@@ -181,9 +193,10 @@ def frequency_response(found: Frf, from_hz: float, upto_hz: float) -> Figure:
 
 @style()
 def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mapping[str, str], rate_hz: float) -> Figure:
-    """Draw the first samples of every fitted channel with its fitted sine; the title has the rms of the residual.
+    """Draw the first samples of every fitted channel together with its fitted sine, and state the rms of the residual.
 
-    `rows` are the first of the fitted scans; fits and units are by name of the channel.
+    `rows` are the scans to draw, the first ones of those that were fitted. `fits` and `units` have the name of the
+    channel as key.
     """
     figure, axes = _axes(len(fits))
     for axis, (name, fit) in zip(axes, fits.items(), strict=True):
@@ -198,9 +211,10 @@ def sine_fits(rows: NDArray[np.void], fits: Mapping[str, SineFit], units: Mappin
 
 @style()
 def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
-    """Draw the coefficient of restitution of every drop, and the mean with ±2u.
+    """Draw the coefficient of restitution of every drop of a drop test, and their mean with a band of ±2u.
 
-    `each` is √(rebound height / drop height) of every drop, shape (n,).
+    `each` is √(rebound height / drop height) of every drop, shape (n,). `u_mean` is the standard uncertainty u of
+    `mean`.
     """
     from matplotlib.ticker import MaxNLocator  # noqa: PLC0415  # heavy: imported only for drawing
 
@@ -215,5 +229,5 @@ def restitution_by_drop(each: Real, mean: float, u_mean: float) -> Figure:
 
 
 def _axes(count: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `count` axes above one another, which share the abscissa."""
+    """Return a wide figure and its `count` axes, from top to bottom, which share the horizontal scale."""
     return new_axes(HEIGHT_INCH, (1.0,) * count, WIDE_INCH)

@@ -78,9 +78,9 @@ class Frf:
     """Estimated frequency response function y / x of two channels, with coherence and uncertainty.
 
     Attributes:
-        u_relative: standard uncertainty of |H1| relative to it, and of its phase [rad], shape (n,); from `frf` by noise
-            alone, from `transmissibility_frf` with calibration and resolution.
-        resonance: the resonance in the excited band, None if no single one fits; from `transmissibility_frf` alone.
+        u_relative: relative standard uncertainty of |H1|, which is also that of its phase [rad], shape (n,). A result
+            of `frf` contains the effect of noise alone, one of `transmissibility_frf` also calibration and resolution.
+        resonance: the resonance in the excited band; None if no single one fits. Only `transmissibility_frf` finds it.
     """
 
     frequency_hz: Real  # shape (n,)
@@ -110,13 +110,20 @@ def frf(
 ) -> Frf:
     """Estimate the frequency response y / x of a record x (excitation) and a record y (response).
 
-    x and y have shape (n,). `segment` is a number of samples (for a periodic chirp one period, with boxcar), of which
-    the share `overlap` is also in the next segment. `noise_ratio` is κ of Hv. `x_noise` is the rms of the noise of x,
-    which is white.
+    Args:
+        x: samples of the excitation, shape (n,).
+        y: samples of the response, shape (n,).
+        rate_hz: samples per second.
+        segment: length of a segment in samples; one period for a periodic excitation, with the window `boxcar`.
+        overlap: share of a segment that is also part of the next one.
+        window: name of the window for `scipy.signal`.
+        noise_ratio: κ of Hv, the noise power of y divided by that of x.
+        x_noise: rms of the noise of x, assumed white [unit of x]. Lines of the spectrum that do not stand out of it do
+            not count as excited.
 
     Raises:
         ValueError: lengths differ, values are not finite, a channel is constant, `segment` is below 8 or above n, or
-            `overlap` is not 0 to < 1.
+            `overlap` is negative or not below 1.
     """
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")
@@ -157,9 +164,10 @@ def frf(
 
 
 def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
-    """Return the indices of the excited lines of a spectrum, without the mean, and whether the excitation is a sine.
+    """Return the indices of the excited lines of a power spectrum, never index 0, and whether the excitation is a sine.
 
-    It is a sine if the lines are a single one that the window has widened. `floor` is the density of the noise.
+    It is a sine if all excited lines are so close to the strongest one that the window alone explains their width; then
+    only the index of the strongest is returned. `floor` is the power density of the noise.
     """
     power = s_xx[1:]
     peak = int(np.argmax(power))
@@ -179,7 +187,7 @@ def find_resonance(
     high_hz: float,
     corrected: Callable[[Real], Complex | float] = lambda _: 1.0,
 ) -> Resonance | None:
-    """Return the resonance by which a moving base x excites a structure y within a band, or None if none fits.
+    """Return the resonance of a structure (displacement y) that its moving base (x) excites, or None if none fits.
 
         (s² + 2ζω_n s + ω_n²) Y − (2ζω_n s + ω_n²) X = a + b s,   s = iω
 
@@ -187,8 +195,9 @@ def find_resonance(
     resonance may be narrower than a line of the estimators. Source: Pintelon & Schoukens (2012), System Identification,
     2.6.
 
-    `x` is the displacement of the base and `y` its effect, shape (n,), in a band that x excites. Y is multiplied by
-    `corrected` of a frequency [Hz], for the sensors' lag and skew.
+    `x` and `y` have shape (n,). The resonance is sought from `low_hz` to `high_hz`, where x must excite the structure.
+    None fits if this band has fewer than 8 lines, or if a single resonance with a frequency in the band does not
+    describe them (`FITS`). `corrected(frequency_hz)` returns the factor that corrects Y for the sensors' lag and skew.
     """
     frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
     moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
@@ -225,9 +234,9 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
     `segment` is the length of a segment in samples, `decay_per_sample` the decay rate σ of the resonance per sample.
 
     The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. It
-    is the first term in 1/(σ · segment) for an antiresonance of x that the window fills, which under current drive is
-    at the peak of y. It exceeds the bias of a resonance of y that the window flattens. Infinite if the resonance rings
-    longer than a segment.
+    is the first term in 1/(σ · segment) of the bias if x has an antiresonance at the peak of y, as under current drive,
+    and the window fills it. It exceeds the bias that arises because the window flattens a resonance of y. It is
+    infinite if the decay time is longer than a segment.
     """
     shape = scipy.signal.get_window(window, SHAPE)
     lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))
@@ -236,7 +245,7 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
 
 
 def resolving_s(resonance: Resonance, window: str) -> float:
-    """Return the segment length [s] that resolves a resonance: its `resolution_bias` is `RESOLVED`."""
+    """Return the shortest segment length [s] with which the `resolution_bias` of a resonance is at most `RESOLVED`."""
     low, high = 1.0, 1e4  # in decay times
     while high - low > 0.01 * low:
         middle = math.sqrt(low * high)
@@ -255,9 +264,18 @@ def transmissibility_frf(
 ) -> Frf:
     """Return the frequency response x_1 / x_b of a sweep or random record, corrected for the sensors' skew and lag.
 
-    u_relative includes calibration and resolution. The scans are consecutive. The default `segment` [samples] resolves
-    the resonance that is found. The default `overlap` is a half, or none with `boxcar`, which is for an excitation that
-    repeats from segment to segment. `damping_ratio` replaces the estimate for the resonance.
+    Args:
+        rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1).
+        info: rows of `daq/info`.
+        segment: length of a segment in samples. None chooses one that resolves the resonance that is found, but at most
+            1 / `SEGMENTS` of the record.
+        overlap: share of a segment that is also part of the next one. None means a half, or 0 with the window `boxcar`,
+            which suits an excitation that repeats from segment to segment.
+        window: name of the window for `scipy.signal`.
+        damping_ratio: damping ratio of the resonance, if it is known; it replaces the estimate.
+
+    Returns:
+        The frequency response; its `u_relative` includes calibration and resolution.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -316,7 +334,11 @@ def _periodic(x: Real, segment: int) -> bool:
 
 
 def _effective_averages(n: int, segment: int, shared: int, window: str) -> float:
-    """Return the effective number of averages over n samples: overlapping segments correlate (Welch 1967, Eq. 12)."""
+    """Return the effective number of averages over n samples.
+
+    It is less than the number of segments, because segments that overlap correlate (Welch 1967, Eq. 12). `shared` is
+    the number of samples by which they overlap.
+    """
     step = segment - shared
     count = (n - shared) // step
     shape = scipy.signal.get_window(window, segment)

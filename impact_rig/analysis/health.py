@@ -84,8 +84,9 @@ class Rejection:
 def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Rejection | None:
     """Return why cycles must not be averaged, or None if they may.
 
-    Reasons are that laser, base or current is over range or not finite, or that laser or base is constant, jumps or is
-    far noisier than its calibration.
+    Reasons are that laser, base or current is over range or not finite, that laser or base is constant, or that one of
+    these two jumps or is far noisier than its calibration. Jumps and noise are judged only in a channel that measures
+    displacement, since an impact makes a velocity or an acceleration jump.
     """
     flags = int(np.bitwise_or.reduce(cycles.flags))
     finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
@@ -108,17 +109,22 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
 
 
 def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Rejection | None:
-    """Return a rejection if laser and base, in this order, show no vibration, both (silence) or one; else None.
+    """Return a rejection if laser and base both show no vibration (`silence`), or one of them (`no_signal`); else None.
 
-    An amplitude up to `SIGNAL_FACTOR` times its standard uncertainty, in `floors`, is no vibration. A channel that
-    falls silent during a measurement is found earlier: see `settling`.
+    `amplitudes` and `floors` are those of laser and base, in this order. An amplitude up to `SIGNAL_FACTOR` times its
+    standard uncertainty, which is its value in `floors`, counts as no vibration. A channel whose signal disappears
+    during a measurement is found earlier, window by window, in `settling`.
     """
     still = [amplitude <= SIGNAL_FACTOR * floor for amplitude, floor in zip(amplitudes, floors, strict=True)]
     return _still(still, Status.NO_SIGNAL)
 
 
 def _still(still: list[bool], alone: Status) -> Rejection | None:
-    """Return a rejection of status `silence` if laser and base do not move, `alone` if only one does not; else None."""
+    """Return a rejection if laser or base stands still; else None.
+
+    `still` tells for laser and base, in this order, whether it stands still. The status is `silence` if both do, and
+    `alone` if only one does.
+    """
     if all(still):
         return Rejection(Status.SILENCE)
     return Rejection(alone, CHANNELS[(LASER, BASE)[still.index(True)]]) if any(still) else None
@@ -131,7 +137,7 @@ def _constant(cycles: Cycles) -> NDArray[np.bool_]:
 
 
 def _medians(values: Real) -> list[float]:
-    """Return `numpy.median` of each column, computed ten times faster for the cycles of a window."""
+    """Return the median of each column, NaN for a column with a NaN, ten times faster than `numpy.median`."""
     ordered = np.sort(values, axis=0)  # NaN last
     middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
     medians: list[float] = np.where(np.isnan(ordered[-1]), np.nan, middle).tolist()
@@ -139,7 +145,11 @@ def _medians(values: Real) -> list[float]:
 
 
 def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[Status | None]:
-    """Return, for each channel, the fault that its changes from scan to scan show (noise, spikes, jump) or None."""
+    """Return, for each channel, the fault that its changes from scan to scan show, or None.
+
+    The faults are `noisy` (changes far above the noise of the calibration), `level_jump` (a large change that stays)
+    and `spikes` (one that returns).
+    """
     turn = 2.0 * np.pi * frequency_hz / calibration.rate_hz
     with np.errstate(over="ignore", invalid="ignore"):  # an accelerometer may read anything
         smooth = SMOOTH_FACTOR * turn * (np.abs(cycles.phasors) @ cycles.harmonics).max(axis=0)
@@ -166,7 +176,8 @@ class Amplitudes:
     """Amplitudes of the channels in a measurement, with standard uncertainties due to scatter, noise and steps.
 
     Attributes:
-        calibrated: relative difference of acceleration over ω² and X_1 that the calibrations of the sensors allow.
+        calibrated: largest relative difference between the amplitude of acceleration / ω² and X_1 that the
+            calibrations of the two sensors explain.
     """
 
     size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
@@ -186,10 +197,12 @@ def amplitudes(
 ) -> Amplitudes:
     """Return the amplitudes of all channels in a measurement, with their uncertainties.
 
+    `true` are the corrected phasors of the cycles by channel, shape (n, H) each; `noise` is the variance per scan in
+    the units of these phasors, squared, shape (4,).
+
     An acceleration of less than a step of the converter may be read as anything from zero to several times its size.
-    The effect of the steps is therefore computed for the amplitude that the laser measures: for a reading of 0 it would
-    be zero. `true` are the corrected phasors of the cycles by channel, shape (n, H) each; `noise` is the variance per
-    scan in their units, shape (4,).
+    The effect of the accelerometer's steps is therefore computed for the acceleration that follows from the laser's
+    amplitude: for a reading of 0, it would be zero.
     """
     square = (2.0 * math.pi * frequency_hz) ** 2
     size, u = np.zeros(4), np.zeros(4)
@@ -212,8 +225,8 @@ def amplitudes(
 def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_rad: float) -> Rejection | None:
     """Return a rejection if laser and base seem exchanged, or one of them seems to have the wrong polarity; else None.
 
-    Nothing is concluded from a DT more uncertain than `CERTAIN`. The phase is that of X_1 / X_b, ± π far above
-    resonance.
+    `u_relative` is the relative standard uncertainty of DT: above `CERTAIN`, the result is always None. `phase_rad` is
+    the phase of X_1 / X_b, which is ± π far above resonance, and `u_phase_rad` its standard uncertainty.
     """
     if u_relative > CERTAIN:
         return None
@@ -231,10 +244,11 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 
 
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
-    """Return a rejection if the accelerometer is dead or contradicts the laser, so that impacts or DT are unreliable.
+    """Return a rejection if the accelerometer is dead or contradicts the laser; None if impacts and DT are reliable.
 
-    A dead accelerometer does not affect DT. If it shows another motion than the laser, either of the two may be wrong:
-    the accelerometer if the laser still agrees with its amplitude in `before`, an earlier row, otherwise the laser.
+    A dead accelerometer (`accelerometer_unsound`) does not affect DT. If it shows another motion than the laser, either
+    of the two may be wrong. If the laser still has the amplitude that it had in `before`, an earlier row of the same
+    setting, the accelerometer is rejected (`accelerometer_unsound`); otherwise the laser is (`implausible`).
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):
@@ -261,8 +275,9 @@ def current_unsound(
 ) -> bool:
     """Return whether the measured coil current is unreliable: stuck, disturbed, or changed alone since a row `before`.
 
-    DT does not depend on the current. A current that varies less than its own noise is stuck. A constant current from
-    the start is not compared with the command: a prescribed base or a voltage drive may have none.
+    `before` is an earlier row of the same setting. DT does not depend on the current. A constant current counts as
+    stuck only if the noise of the channel exceeds a step of the converter, so that a working channel cannot be
+    constant. The current is not compared with the command, since a prescribed base or a voltage drive may have none.
     """
     stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
     if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
@@ -275,13 +290,17 @@ def current_unsound(
 
 
 def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
-    """Return ln(now / before) of the amplitudes of all channels, and how far noise alone may change them."""
+    """Return ln(now / before) of the amplitudes of all channels, and the largest such change that noise explains."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 
 
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
-    """Return a rejection that names laser or base if it alone has changed since an earlier row `before`; else None."""
+    """Return a rejection (`implausible`) that names laser or base if that channel alone has changed; else None.
+
+    `before` is an earlier row of the same drive setting. The laser has changed alone if the accelerometer has changed
+    less; the base, if neither laser nor current explains its change.
+    """
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)
     least = np.maximum(ALONE, noise)

@@ -45,7 +45,7 @@ ONSET = 0.45
 LOOK_AHEAD_S = 150e-6
 """Time after the crossing of the threshold within which the pulse of an impact has its peak."""
 LOOK_AHEAD_SCANS = 6
-"""Least number of scans in that time.
+"""Least number of scans in which that peak is sought, even if they take longer than `LOOK_AHEAD_S`.
 
 At low scan rates, most of a pulse may fall between the scans, and its aliased ringing is higher.
 """
@@ -53,15 +53,16 @@ FILTER_SETTLING_S = 0.01
 """Settling time of the high-pass after a start or a gap, in which no impacts are detected."""
 RMS_TIME_S = 0.1
 RMS_CLIP, RMS_CLIP_RINGING = 9.0, 2.0
-"""Limit of the square of one sample in the tracked variance, as a multiple of it: in quiet, and soon after an impact.
+"""Factors that limit by how much one sample can raise the tracked variance: in quiet, and soon after an impact.
 
-A rig that chatters must not make the detector insensitive, but a vibration that has become stronger must.
+The square of a sample counts at most this many times the present variance. Impacts that follow each other quickly must
+not make the detector insensitive, but a vibration that has become stronger must.
 """
 QUIET_RING_TIMES = 8.0
 """Time since the last impact after which the signal counts as quiet, in time constants of the ringing."""
 MOST_CALIBRATIONS = 64  # number of calibrations kept: impacts are reported within a second of their scan
 RING_SCANS = 8
-"""Least time constant of the ringing, in scans.
+"""Least time constant of the ringing that is assumed after an impact, in scans.
 
 Below 20 kS/s, the pulse falls between the scans, and the high-pass rings longer than the sensor.
 """
@@ -76,7 +77,7 @@ MIN_RATE_HZ = 2_000
 
 
 IMPACT = np.dtype([("scan", "f8"), ("peak", "f8"), ("sign", "f8")])
-"""Detected impact: instant of first touch in scans since scan 0, fractions included, peak and sign.
+"""Row type of detected impacts: instant of first touch in scans since scan 0, fractions included, peak and sign.
 
 The peak of the high-passed acceleration [m/s²] is positive. The sign is +1 if the sphere strikes the right wall.
 """
@@ -84,9 +85,10 @@ NO_IMPACTS = np.zeros(0, IMPACT)
 
 
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
-    """Return drive cycles with their `impacts` and `strikes` filled in from detected impacts.
+    """Return copies of drive cycles whose `impacts` and `strikes` are filled in from detected impacts (`IMPACT`).
 
-    Impacts (`IMPACT`) outside the cycles are ignored; `origin` is the first scan of cycle 0, `period` is in scans.
+    Impacts outside the cycles are ignored. `origin` is the first scan of cycle 0, `period` the number of scans per
+    cycle.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
     place = np.searchsorted(edges, impacts["scan"], side="right") - 1
@@ -101,9 +103,9 @@ def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: floa
 def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
     """Return the coefficients (b_0, b_1, b_2, a_1, a_2) of a digital Butterworth high-pass of second order.
 
-    s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact (Oppenheim and
-    Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, for 60 MB of memory
-    in a node that runs for days.
+    It is s^2 / (s^2 + sqrt(2) s + 1) through the bilinear transform, pre-warped so that the corner is exact (Oppenheim
+    and Schafer, Discrete-Time Signal Processing, section 7.1.2). `scipy.signal.butter` gives the same, but importing it
+    would take 60 MB of memory in a node that runs for days.
     """
     sine, cosine = sincos(PI * corner_hz / rate_hz)
     k = sine / cosine
@@ -130,7 +132,7 @@ class ImpactDetector:
             [look_ahead, round(FILTER_SETTLING_S * rate), round(QUIET_RING_TIMES * ring_time * rate)]
         )
         self.behind = 0
-        """Number of scans within which every impact is found after it happened: the largest delay of the detector."""
+        """Largest delay of the detector: an impact is found at most this many scans after it happened."""
         self._sensors: list[tuple[float, float, float]] = []  # first scan of its validity, lag [scans], noise [m/s²]
         self.recalibrate(-math.inf, calibration)
         self._history = np.zeros(HISTORY_MASK + 1)
@@ -147,7 +149,10 @@ class ImpactDetector:
         self._history[:] = 0.0
 
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
-        """Use the lag and noise of the accelerometer in another calibration, of the same scan rate, from a scan on."""
+        """Use the accelerometer's lag and noise of another calibration from the scan with the index `scan` on.
+
+        The other calibration must have the same scan rate.
+        """
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
         self._sensors.append((scan, lag, noise))
@@ -158,21 +163,25 @@ class ImpactDetector:
         return max(0, bisect.bisect_right(self._sensors, scan, key=lambda sensor: sensor[0]) - 1)
 
     def feed(self, acceleration: Real) -> NDArray[np.void]:
-        """Return the impacts (`IMPACT`) that the next samples complete, within `behind` scans after each.
+        """Process the next samples, and return the impacts (`IMPACT`) that are recognised at one of them.
 
-        The samples are the acceleration [m/s²] of consecutive scans, shape (n,).
+        An impact is recognised at most `behind` scans after it happened. The samples are the acceleration [m/s²] of
+        consecutive scans, shape (n,).
         """
         return self.timed(self.find(acceleration))
 
     def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
-        """Return results of `find` with their scans changed to the instants of touch: less the lag of the sensor."""
+        """Return results of `find` with the sensor's lag subtracted from their scans: the instants of first touch."""
         impacts = onsets.copy()
         for impact in impacts:
             impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
         return impacts
 
     def find(self, acceleration: Real) -> NDArray[np.void]:
-        """Return impacts as `feed` does, but with the scan in which the sensor shows the impact, without its lag."""
+        """Process samples and return impacts like `feed`, but without subtracting the sensor's lag from their scans.
+
+        Below `MIN_RATE_HZ` the result is always empty.
+        """
         if self._rate < MIN_RATE_HZ:
             return NO_IMPACTS
         found: list[Real] = []
@@ -195,12 +204,15 @@ def _detect(
     acceleration: Real, begin: int, coefficients: Real, limits: Real, times: NDArray[np.int64], state: Real,
     place: NDArray[np.int64], history: Real, out: Real,
 ) -> tuple[int, int]:  # fmt: skip
-    """Filter and inspect samples from `begin`; stop early when `out` is full. Return (impacts found, next sample).
+    """Filter the samples from index `begin` on, and write the impacts that are found in them to `out`.
 
-    `state` = [memory_1, memory_2, variance, ring envelope, peak, sign, swing].
-    `place` = [scan, blank, hunting, fresh, scan of the peak, scans since the last impact].
-    While `hunting` counts down, the peak is the largest value with the crossing's sign. The swing, the largest value of
-    either sign, determines the size of the ringing.
+    It stops early when `out` is full. The result is (number of impacts found, index of the next sample to process).
+
+    `state` = [filter memory 1, filter memory 2, variance, threshold of the ringing, peak, sign, swing].
+    `place` = [scan, samples left while the filter settles, samples left in which the peak is sought (`hunting`),
+    1 if the filter is to be started, scan of the peak, scans since the last impact].
+    While `hunting` counts down after a crossing of the threshold, the peak is the largest value with the crossing's
+    sign. The swing, the largest value of either sign, determines the threshold of the ringing.
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits
@@ -267,9 +279,10 @@ def _detect(
 
 
 def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
-    """Return detected impacts (`IMPACT`) as tables for publication, one per cell of the command grid with impacts.
+    """Return detected impacts (`IMPACT`) as tables `impacts` for publication, one per tick (10 ms) that has impacts.
 
-    Each is stamped with the begin of its cell, so that the tables do not depend on the length of the blocks.
+    Each table is stamped with the begin of its tick, so the tables do not depend on the length of the blocks.
+    `start_ns` is the rig time of scan 0.
     """
     rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # usually a single one, for which NumPy is slow

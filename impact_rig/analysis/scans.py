@@ -47,7 +47,7 @@ _IN_ORDER = tuple((bit, bit) for bit in range(len(CHANNELS)))
 def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
     """Return the status bits of scans, shape (n,): bit j is set if channel j of `CHANNELS` is over range or clipped.
 
-    The channels of the scans may have another order.
+    The bits in the scans themselves follow the order of the channels there, which may be another one.
     """
     status: NDArray[np.uint8] = rows["status"]
     places = _places(rows.dtype)
@@ -61,7 +61,7 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 @functools.lru_cache(maxsize=64)  # few types of rows exist
 def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
-    """Return, for each channel of `CHANNELS` in a row type of scans, its index in `CHANNELS` and in the scans."""
+    """Return, for each channel of `CHANNELS` in a row type of scans, its index in `CHANNELS` and that in the scans."""
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
@@ -77,7 +77,10 @@ def _as_scans(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 @entry(SCAN, REALS_2D, BYTES, int)
 def _copy(rows: Any, samples: NDArray[np.float64], status: NDArray[np.uint8], at: int) -> None:
-    """Copy scans into a `ScanBuffer`, from column `at` on: samples has shape (4, capacity), status (capacity,)."""
+    """Copy scans to the arrays of a `ScanBuffer`, from column `at` on.
+
+    `samples` has shape (4, capacity of the buffer), `status` has shape (capacity of the buffer,).
+    """
     for i in range(len(rows)):
         samples[0, at + i] = rows[i].accelerometer
         samples[1, at + i] = rows[i].laser
@@ -93,9 +96,10 @@ def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
 
 
 def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
-    """Check that a table has the columns of a row type, with numbers and texts where that type has them.
+    """Check that a table has the columns of the row type `wanted`, with numbers and texts where that type has them.
 
-    The columns of `later` may be missing: earlier versions did not write them, or the channel was not measured.
+    The columns named in `later` may be missing: earlier versions did not write them, or the channel was not measured.
+    `topic` is the name in the message of the error.
 
     Raises:
         ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.
@@ -115,7 +119,7 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
 
 
 class ScanBuffer:
-    """Buffer of consecutive scans, stored channel by channel; it grows with the kept scans and the longest block.
+    """Buffer of consecutive scans, stored channel by channel, in arrays that grow as needed.
 
     Attributes:
         samples: samples by channel of `CHANNELS` and by scan, shape (4, capacity).
@@ -141,7 +145,10 @@ class ScanBuffer:
         self.end -= index
 
     def append(self, rows: NDArray[np.void], keep: int) -> None:
-        """Append scans that follow the newest one; scans with an index below `keep` may be dropped to make room."""
+        """Append scans that directly follow the newest one.
+
+        Scans with an index below `keep` may be dropped to make room.
+        """
         used, new = self.end - self.first, len(rows)
         if used + new > len(self.status):
             self._make_room(keep, new)
@@ -154,7 +161,7 @@ class ScanBuffer:
         self.end += new
 
     def column(self, index: int) -> int:
-        """Return the column of `samples`, and the place in `status`, of the scan with the index `index`."""
+        """Return the column of `samples` that holds the scan `index`, which is also its index in `status`."""
         return index - self.first
 
     def _make_room(self, keep: int, new: int) -> None:
@@ -170,7 +177,7 @@ class ScanBuffer:
 
 
 class Recent:
-    """Buffer of the newest blocks of `daq/scan`, as many as hold `length` scans; a gap in the stream clears it."""
+    """Buffer of the newest blocks of `daq/scan`: the fewest that hold at least `length` scans without a gap."""
 
     def __init__(self, rate_hz: float, length: int) -> None:
         self._rate_hz = rate_hz
@@ -205,5 +212,5 @@ class Recent:
         return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all kept scans, oldest first."""
+        """Return the rows of all kept scans, oldest first; at least one block must have been added."""
         return joined([block.rows for block in self._blocks])

@@ -118,7 +118,7 @@ class TrackerSettings:
 
 @attrs.frozen(kw_only=True)
 class ImpactSettings:
-    """Settings for the detection of impacts despite background, noise and the accelerometer's ringing."""
+    """Settings of `ImpactDetector`, which must tell impacts from vibration, noise and the accelerometer's ringing."""
 
     corner_hz: float = quantity(
         1500.0, "Hz", "Corner of the high-pass that removes the vibration from the acceleration.", above=0
@@ -146,7 +146,7 @@ _END_NS = 2**31 * 1_000_000_000  # the latest instant of a ROS stamp
 
 @attrs.frozen
 class GapLabel:
-    """Operator's label of the gap between the barriers [m] (0 = no sphere, NaN = unknown), from a rig time on."""
+    """Operator's label of the gap [m] (0 = no sphere, NaN = unknown), valid from the rig time `stamp_ns` [ns] on."""
 
     gap_m: float
     stamp_ns: int
@@ -180,10 +180,10 @@ RETIRED = ("bootstrap_resamples", "seed")  # settings of resampling in recording
 
 
 def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, started_s: float = 0.0) -> Table:
-    """Return the table `analysis/settings`: settings and gap label from a rig time on, and the analysis that uses them.
+    """Return the table `analysis/settings` with settings and gap label, valid from the rig time `stamp_ns` on.
 
-    The fingerprint of this machine and `started_s`, the start time of the analysis [s, Unix], distinguish several
-    analyses in one run.
+    The table also contains the fingerprint of this machine and `started_s`, the time at which the analysis started
+    [s since 1970]. These two distinguish several analyses in one run.
     """
     values = {attribute.name: getattr(settings, attribute.name) for attribute in attrs.fields(TrackerSettings)}
     rows = [*values.items(), (GAP, gap_m), (MACHINE, fingerprint()), (STARTED, started_s)]
@@ -193,7 +193,7 @@ def settings_table(settings: TrackerSettings, gap_m: float, stamp_ns: int, start
 def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     """Return the settings and the gap label [m] in a table `analysis/settings`.
 
-    A missing setting has its default, a missing gap label is NaN.
+    A setting that the table lacks has its default, and a gap label that it lacks is NaN.
 
     Raises:
         ConfigError: the table has an unknown key, or a value out of range.
@@ -218,7 +218,7 @@ def machine_of(table: Table) -> int | None:
 
 
 def started_of(table: Table) -> float | None:
-    """Return when the analysis that made a table `analysis/settings` started [s, Unix]; None if the table lacks it."""
+    """Return the start time [s since 1970] of the analysis that made a table `analysis/settings`; None if unknown."""
     return _value(table, STARTED)
 
 
@@ -228,8 +228,8 @@ def _value(table: Table, key: str) -> float | None:
 
 
 def _as_set(default: float, value: float) -> Any:  # int or float, as the setting is; the validator decides
-    """Return the value of a setting from a table, where all are floats, as an int if its default is one.
+    """Convert a setting from a table, where all values are floats, to an int if its default is an int.
 
-    A fraction stays a float, so that the validator of the setting rejects it.
+    A value that is not a whole number stays a float, so that the validator of the setting rejects it.
     """
     return int(value) if isinstance(default, int) and np.isfinite(value) and value == int(value) else value

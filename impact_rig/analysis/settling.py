@@ -11,7 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Detection of settling: it decides, window by window, when the response to one drive setting has settled.
+"""Detection of settling: the decision, window by window, whether the response to one drive setting has settled.
+
+A window is a group of consecutive drive cycles (`window_cycles`). A row is a row of `transmissibility/table`.
 
 A dying transient adds a term c·q^w to the complex transmissibility of window w, with q complex (decay and beat of the
 free vibration against the drive). Its sum beyond the last window follows from the differences of the windows (Aitken).
@@ -63,14 +65,13 @@ POWER_LIMIT = 4.0  # ratio of the fluctuation power of the halves that still cou
 
 
 def transient_bias(windows: Complex, measured: int) -> complex:
-    """Return the complex bias that a dying transient leaves in the mean of the newest windows.
+    """Return the complex bias that a dying transient leaves in the mean of the newest `measured` windows.
 
-    Without a transient, it is of the size of the noise. The limit of the transient is extrapolated from the newest 8
-    windows and, if available, from the newest 16: the longer record detects slow transients below the noise of the
-    shorter one. The larger bias counts.
+    It is that mean minus the limit that the response approaches; without a transient, it is of the size of the noise.
+    The limit is extrapolated from the newest 8 windows and, if available, also from the newest 16, because the longer
+    record detects slow transients that the noise of the shorter one hides. The larger of the two biases is returned.
 
-    `windows` is the complex transmissibility in successive windows, oldest first, shape (n,). The mean is that of the
-    newest `measured` ones.
+    `windows` is the complex transmissibility in successive windows, oldest first, shape (n,).
 
     Raises:
         ValueError: not 8 <= measured <= n.
@@ -83,10 +84,11 @@ def transient_bias(windows: Complex, measured: int) -> complex:
 
 
 def more_windows(taken: int, reached: float, share: float) -> int:
-    """Return the number of further windows until a dying transient has fallen to a share, at its pace so far.
+    """Return the number of further windows until a dying transient has fallen to the share `share` of its present size.
 
     A transient that began as large as the response itself and took n windows to fall to a fraction ε takes n ln(s) /
-    ln(ε) more to fall by another factor s. A transient below the noise cannot be followed, but its pace can.
+    ln(ε) more to fall by another factor s. A transient below the noise cannot be measured any more, but is assumed to
+    keep its pace.
 
     `taken` is n, the number of windows from the change of the drive to the first measured one. `reached` is ε, and
     `share` is s, 0 < s < 1. The result is 0 if ε is not between 0 and 1.
@@ -95,9 +97,9 @@ def more_windows(taken: int, reached: float, share: float) -> int:
 
 
 def _limit(quarters: Complex) -> complex:
-    """Return the limit that four successive values of a decaying series approach, after Aitken.
+    """Return the limit of a decaying series of which `quarters` are four successive values, by Aitken's extrapolation.
 
-    The factor q between successive differences is fitted to both pairs of them.
+    The factor q from one difference of neighbours to the next is a least-squares fit to the three differences.
     """
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
@@ -127,7 +129,7 @@ def is_stationary(windows: Complex) -> bool:
 
 
 CYCLE_MULTIPLE = 6
-"""Number of cycles of which a window holds a multiple.
+"""Number of drive cycles; every window holds a multiple of it.
 
 Orbits of period 2, 3 and 6 close in each window, those of period 4 and 8 in pairs.
 """
@@ -148,10 +150,10 @@ NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
 
 @attrs.frozen
 class ImpactPause:
-    """Wait for a sphere that may still strike: the time without impacts so far, and its bound."""
+    """Wait for a sphere that may still strike: the time without impacts so far, and how long it may delay a row."""
 
     since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
-    # time without impacts after which a row is given; 0 without a sphere, or if none was ever noticed
+    # time without impacts for which a row is delayed at most; 0 without a sphere, or if none was ever noticed
     bound_s: float = 0.0
 
     @property
@@ -162,7 +164,7 @@ class ImpactPause:
 
 @attrs.frozen
 class Progress:
-    """Progress towards the first row after a change of drive, gap label or calibration, in windows."""
+    """Progress towards the first row after a change of drive, gap label or calibration, as numbers of windows."""
 
     windows: int  # number since the last change; at most `needed`
     needed: int  # estimated number required: it grows while no row can be given
@@ -171,14 +173,14 @@ class Progress:
 
     @property
     def reason(self) -> str:
-        """Readable reason why there is no row yet: the wait for a sphere; empty if it is only the transient."""
+        """Sentence for users that says how long a sphere may still delay the row; empty if no sphere delays it."""
         if not self.quiet.is_waiting:
             return ""
         return f"waiting up to {self.quiet.bound_s:.3g} s for a sphere that may still strike"
 
 
 class Judge:
-    """Judge of settling for one drive setting: it keeps the newest windows and decides when to measure."""
+    """Judge of settling for one drive setting: it keeps the newest windows and decides when they give a row."""
 
     def __init__(self, calibration: Calibration, frequency_hz: float, settings: TrackerSettings) -> None:
         self._calibration = calibration
@@ -205,9 +207,9 @@ class Judge:
     def add(self, window: Cycles, quiet: ImpactPause = ImpactPause()) -> Measurement | None:
         """Add the next window of drive cycles; return a measurement if the response has settled or the wait is over.
 
-        `quiet` is the wait for the sphere at the end of the window. An unsound window (over range, not finite, noisy)
-        is discarded with all before it. The first of several such windows is returned as a measurement that has only a
-        status, and again every `windows` windows.
+        `quiet` is the wait for the sphere, as it stands at the end of the window. An unsound window (over range, not
+        finite, noisy) is discarded together with all windows before it. The result is then a measurement that has only
+        a status; while windows stay unsound for the same reason, that result is given once in `windows` windows.
         """
         self._quiet = quiet
         self._since_row += 1
@@ -233,13 +235,17 @@ class Judge:
         return self._given(found or self._overdue())
 
     def finish(self) -> Measurement | None:
-        """Return the measurement delayed for a sphere that may still strike, as the record ends; None if none is."""
+        """Return the measurement that is delayed because a sphere may still strike, or None if there is none.
+
+        Call this when the record ends.
+        """
         return self._given(self._held)
 
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
-        """Return a measurement of all cycles of a record that ends before a row was due; None if a row was given.
+        """Return a measurement of all cycles of a record that ends before its first row; None if a row was given.
 
-        `rest` are the cycles after the last window. The status is `not_settled`: the remaining transient is unknown.
+        `rest` are the complete cycles after the last window. The status of a measurement with numbers is `not_settled`,
+        because the remaining transient is unknown.
         """
         if self._reported:
             return None
@@ -251,7 +257,10 @@ class Judge:
         return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
 
     def _given(self, found: Measurement | None) -> Measurement | None:
-        """Register a measurement as the newest row and return it, checked against the row before; None stays None."""
+        """Register a measurement as the newest row, and return it after the comparison with the row before.
+
+        None stays None. A measurement without impacts gets the status `no_impacts` if a sphere may be present.
+        """
         self._held = None
         if found:
             silent = found.status is Status.OK and found.impacts_per_cycle == 0.0 and self._quiet.bound_s > 0.0
@@ -266,8 +275,8 @@ class Judge:
     def late(self) -> bool:
         """Return whether the next row is overdue: more windows have passed since the newest row than it averaged.
 
-        An unchanged response gives a row after as many. A row is late if the response is less regular than at the
-        newest row, or while the sphere may still strike.
+        An unchanged response gives the next row after as many windows as the newest row averaged. It takes longer if
+        the response has become less regular, or if a sphere that may still strike delays the row.
         """
         return self._reported and self._since_row > self._span
 
@@ -287,9 +296,10 @@ class Judge:
         return Progress(self._whole, max(needed, self._whole + 1), self._remnant)  # no row yet: at least one more
 
     def _compared(self, found: Measurement) -> Measurement:
-        """Return a measurement, or one that has only a status if one channel alone has changed since the last good row.
+        """Compare a measurement with the last good row, and return it unless one channel alone has changed since then.
 
-        Such a channel has changed its gain, because the drive is the same.
+        Such a channel must have changed its gain, because the drive is the same. The result is then a measurement that
+        has only a status and the name of that channel.
         """
         if found.amplitudes is None or found.status is Status.NOT_SETTLED:
             return found
@@ -305,7 +315,7 @@ class Judge:
     def _lost_signal(self, window: Cycles) -> Rejection | None:
         """Return a rejection if laser or base has no signal in this window but had one in the window before; else None.
 
-        Signals that only many windows can detect are not considered.
+        A signal that is too weak to stand out clearly in a single window is not considered.
         """
         if not self._windows:
             return None

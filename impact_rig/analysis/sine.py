@@ -41,7 +41,10 @@ CONVERGED_RAD = 1e-10  # phase change at the end of the record by the last frequ
 
 @attrs.frozen(eq=False)
 class SineFit:
-    """Result of fitting a sine and its harmonics to samples y; without a fit, all but status and frequency is NaN."""
+    """Result of fitting a sine and its harmonics to samples y.
+
+    If the fit was impossible, all numbers except the given frequency are NaN, and `status` says why.
+    """
 
     status: Status  # `ok`, or why there is no fit
     frequency_hz: float  # given or refined
@@ -73,8 +76,8 @@ class SineFit:
 def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
     """Fit an offset and the harmonics of a known frequency to samples: three parameters for harmonics = 1.
 
-    `y` has shape (n,); the H harmonics, including the fundamental, must be below rate / 2. If y cannot be fitted
-    (too few cycles, not finite, constant, no such frequency), the status of the result is the reason.
+    `y` has shape (n,); `harmonics` counts the fundamental. If y cannot be fitted, the status of the result is the
+    reason: `too_few_cycles`, `not_finite`, `constant`, or `no_frequency` if a harmonic is not between 0 and rate / 2.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -85,10 +88,11 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
 
 
 def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -> SineFit:
-    """Fit an offset, the harmonics and their frequency to samples: four parameters for harmonics = 1.
+    """Fit an offset, harmonics and their fundamental frequency to samples: four parameters for harmonics = 1.
 
-    Gauss–Newton iteration from `frequency_hz`, which must be right to within about half a cycle over the record. The
-    status of the result is `no_fit` if the iteration does not converge, otherwise as for `fit_sine`.
+    The fit is a Gauss–Newton iteration that starts at `frequency_hz`, which must be right to within about half a cycle
+    over the record. The status of the result is `no_fit` if the iteration does not converge, otherwise as for
+    `fit_sine`.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:
@@ -119,8 +123,8 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
 def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
     """Solve design · solution ≈ y; return the solution, shape (p,), and the inverse of the normal matrix, shape (p, p).
 
-    The design, shape (n, p), has independent, non-zero columns, which are scaled to one size for the solution; y has
-    shape (n,). The method is fast for n much larger than p.
+    `design` has shape (n, p) and linearly independent columns, which are scaled to equal norm internally; `y` has shape
+    (n,). The method is fast for n much larger than p.
     """
     normal = design.T @ design
     size = np.sqrt(np.diagonal(normal))
@@ -129,9 +133,9 @@ def least_squares(design: Real, y: Real) -> tuple[Real, Real]:
 
 
 def noise_density(residual: Real, frequency_hz: float, rate_hz: float) -> float:
-    """Return the noise variance per sample that the spectrum of a residual shows near a frequency.
+    """Return the variance per sample of white noise that is as strong as a residual is near a frequency.
 
-    It is the variance of the whole residual if the record is too short for `NEAR_BINS` lines there.
+    If the record is too short for `NEAR_BINS` spectral lines near the frequency, it is the variance of the residual.
     """
     power = np.abs(np.fft.rfft(residual)) ** 2 / len(residual)
     middle = round(frequency_hz / rate_hz * len(residual))

@@ -34,7 +34,7 @@ from impact_rig.states import Regime
 
 
 def variance_of_mean(values: Real) -> float:
-    """Return the variance of the mean of a stationary series, including correlation up to n^(1/3) lags.
+    """Return the variance of the mean of a stationary series, where values up to n^(1/3) apart may be correlated.
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
@@ -65,22 +65,22 @@ def _longest_lag(n: int) -> int:
 
 
 def student_2u(freedom: float) -> float:
-    """Return the factor by which a standard uncertainty of few degrees of freedom grows so that ±2u covers 95.45 %.
+    """Return the factor that enlarges a standard uncertainty u of few degrees of freedom so that ±2u covers 95.45 %.
 
-    The estimate has Student's t distribution, whose quantile follows the expansion of Abramowitz & Stegun (1964),
-    26.7.5, at the normal quantile 2: within 0.3 % of the true one from 4 degrees of freedom on; fewer than 2 count as
-    2.
+    The quantile of Student's t distribution is computed by the expansion of Abramowitz & Stegun (1964), 26.7.5, at the
+    normal quantile 2. It is within 0.3 % of the true one from 4 degrees of freedom on. Fewer than 2 count as 2.
     """
     inverse = 1.0 / max(freedom, 2.0)
     return 1.0 + 1.25 * inverse + 1.531 * inverse**2 + 1.43 * inverse**3
 
 
 def batch_variance(values: Complex, batches: int) -> Real:
-    """Return the variances of the mean of a series (real, imaginary part) from the scatter of means of batches.
+    """Return the variances of the mean of a series (real, imaginary part), estimated from the means of its batches.
 
-    Batches much longer than the correlation are practically independent, however it decays (Schmeiser 1982, Operations
-    Research 30, 556–568). For shorter ones, the variance from b batches is too small in proportion to b. 2V_b − V_2b is
-    free of this error (Vats & Flegal 2022, Biometrika 109, 735–750). `student_2u` accounts for their small number.
+    A batch is one of `batches` parts of the series of equal length. Batches much longer than the correlation are
+    practically independent, however the correlation decays (Schmeiser 1982, Operations Research 30, 556–568). If they
+    are shorter, the variance V_b from b batches is too small by an error that is proportional to b. 2V_b − V_2b is free
+    of this error (Vats & Flegal 2022, Biometrika 109, 735–750). `student_2u` accounts for the small number of batches.
     The values have shape (n,), n >= batches >= 2; the result has shape (2,).
     """
     coarse = _scatter_of_batches(values, batches)
@@ -95,9 +95,9 @@ def _scatter_of_batches(values: Complex, batches: int) -> Real:
 
 
 def by_class_removed(values: Complex, period: int) -> Complex:
-    """Return values, each minus the mean of all values at the same position in a period of `period` values.
+    """Return each value minus the mean of all values at the same position within a period of `period` values.
 
-    For a series that repeats with this period, noise remains.
+    If the series repeats with this period, only its noise remains.
     """
     place: NDArray[np.int64] = np.arange(len(values)) % period
     whole = len(values) - len(values) % period
@@ -115,7 +115,7 @@ The noise of 48 cycles exceeds it once in a million.
 SUPPORT = 0.6  # share of the cycles of a class that strike at a phase which belongs to the orbit
 REGULAR_SHARE = 0.85  # share of the impacts at such phases from which the impacts repeat
 LINES = 3
-"""Number of spectral lines that hold at least LINE_SHARE of the fluctuation power of a modulated response.
+"""Number of strongest spectral lines; in a modulated response they hold at least LINE_SHARE of the fluctuation power.
 
 Each is as wide as the main lobe of the window.
 """
@@ -135,9 +135,14 @@ class Behaviour:
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
     """Classify a response as periodic, modulated or chaotic by its drive cycles.
 
-    `deviation` is ε_k per cycle, shape (n,), of which noise explains E|ε|² = `noise_variance`; an rms up to `tolerance`
-    is negligible. `strikes` are the phases of the impacts (`Cycles.strikes`). The regime is `unknown` for n < 4 or
-    values that are not finite.
+    Args:
+        deviation: relative deviation ε_k of the fundamental of x_1 in each cycle, shape (n,).
+        noise_variance: E|ε|² that noise alone causes.
+        tolerance: rms of ε up to which a deviation is negligible.
+        strikes: phases of the impacts (`Cycles.strikes`), shape (n, bins).
+
+    Returns:
+        The behaviour; its regime is `unknown` for n < 4 or values that are not finite.
     """
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):
@@ -156,10 +161,11 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
 
 @entry(REALS_2D, BYTES_2D, float, int, returns=(int, bool))
 def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int) -> tuple[int, bool]:
-    """Return after how many cycles, up to `longest`, a response repeats, 0 if never, and whether its amplitude does.
+    """Return (number p of cycles after which a response repeats, whether its amplitude repeats).
 
-    `deviation` are the real and imaginary parts of ε_k, shape (n, 2), whose variance within the classes k mod p must be
-    at most `limit`. `strikes` are the phases of the impacts, shape (n, bins).
+    p is the smallest number from 1 to `longest` for which amplitude and impacts repeat, or 0 if there is none. The
+    amplitude repeats if the variance of ε_k within the classes k mod p is at most `limit` for some p. `deviation` are
+    the real and imaginary parts of ε_k, shape (n, 2). `strikes` are the phases of the impacts, shape (n, bins).
     """
     n, steady = deviation.shape[0], False
     for period in range(1, longest + 1):
@@ -183,10 +189,11 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
 
 @kernel
 def _strikes_repeat(strikes: Bytes, period: int) -> bool:
-    """Return whether the impacts repeat every `period` cycles: nearly all at phases where most such cycles have one.
+    """Return whether the impacts repeat every `period` cycles.
 
-    Phases agree if they differ by at most one bin. Weak impacts may be missed in some cycles, so a cycle without one
-    proves nothing; an impact at another phase does.
+    A phase is regular in a class of cycles k mod `period` if most cycles of the class have an impact there, to within
+    one bin. The impacts repeat if nearly all of them are at regular phases. A cycle without an impact at a regular
+    phase proves nothing, because weak impacts may be missed.
     """
     n, bins = strikes.shape
     regular, impacts = 0, 0

@@ -11,12 +11,12 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""`Tracker`: the transmissibility of a running rig, computed from its blocks in constant memory.
+"""`Tracker`: the transmissibility of a running rig, computed from its blocks of scans in constant memory.
 
-Feed it the messages of the rig. It measures when the response has settled, and names the reason if it cannot. The rows
-are the same bit for bit for any block length, and for any order in which topics are delivered within `hold_s`. To
-achieve this, scans are delayed, and sums run scan by scan. Cycles and windows are counted from the last change of
-drive, gap label or calibration (`_apply`).
+A tracker receives the tables of the rig. It measures when the response has settled, and names the reason if it cannot.
+The rows of its results are the same bit for bit for any block length, and for any order in which the topics are
+delivered, as long as no table arrives more than `hold_s` late. To achieve this, the tracker delays the scans by that
+time. It counts cycles and windows from the last change of drive, gap label or calibration (`_apply`).
 """
 
 from __future__ import annotations
@@ -61,7 +61,10 @@ class Counters:
 
 @attrs.frozen
 class TrackerState:
-    """State of a tracker's measurement; scans and commands alone decide it, so a recorded run has the same states."""
+    """State of a tracker's measurement.
+
+    It depends only on the tables that the tracker has received, so a recorded run gives the same states again.
+    """
 
     word: str  # of `states.AnalysisWord`
     reason: str = ""  # a status of `transmissibility/table`; empty if the word says enough
@@ -70,7 +73,7 @@ class TrackerState:
 
 @attrs.frozen(eq=False)
 class Findings:
-    """New results of a call of a tracker: tables `transmissibility/table` of one row each, and of detected impacts."""
+    """New results of one call of a tracker: tables `transmissibility/table` of one row each, and tables `impacts`."""
 
     measurements: tuple[Table, ...] = ()
     impacts: tuple[Table, ...] = ()
@@ -87,7 +90,7 @@ class _Command(NamedTuple):
 
 
 class _Reset(NamedTuple):
-    """Reset of the rig that is still to be applied: the stamp of the new scan 0, and its calibration."""
+    """Reset of the rig, to be applied when its scans arrive: the stamp of the new scan 0 and the new calibration."""
 
     start_ns: int
     calibration: Calibration
@@ -173,10 +176,10 @@ class Tracker:
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Register the calibration; it acts from the table's stamp on. A repetition of the last table has no effect.
+        """Register the calibration, which applies from the table's stamp on; a repetition of the last table is ignored.
 
-        A new time of scan 0 in it means that the rig was reset: scans from then on are measured as a new record. So
-        does another scan rate.
+        If the table has another time of scan 0 or another scan rate than the last one, the rig was reset: the scans
+        from then on are measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -214,7 +217,7 @@ class Tracker:
         """Register commands to the drive.
 
         Args:
-            applied: a table `shaker/applied`; each row acts from the stamp of the table plus its `time` on.
+            applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on.
 
         Raises:
             ConfigError: the table is invalid, or its times are not numbers.
@@ -236,7 +239,10 @@ class Tracker:
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
 
     def feed(self, scan: Table) -> Findings:
-        """Process the next block of scans; blocks arrive in order. Until the first calibration, they wait for `hold_s`.
+        """Process the next block of scans; blocks must be passed in order.
+
+        Blocks that arrive before the first calibration wait for it. Those that are older than `hold_s` by then are
+        dropped and counted.
 
         Args:
             scan: a table `daq/scan`.
@@ -296,7 +302,8 @@ class Tracker:
     def progress(self) -> Progress | None:
         """Progress towards the first row after the last change; None without a drive frequency that can be measured.
 
-        It counts `windows` of the `needed` ones. `reason` says why a sphere delays the row; it is empty if none does.
+        The measurement has `windows` of the `needed` windows. `reason` says how long a sphere may delay the row, and is
+        empty if none does.
         """
         if self._accumulator is None:
             return None
@@ -312,16 +319,17 @@ class Tracker:
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
-        """Measure the scans that are still delayed, because the record ends.
+        """Measure the scans that are still delayed; call this at the end of a record.
 
-        A row that waits for a sphere to strike is given at once.
+        A row that is delayed because a sphere may still strike is returned as well.
 
         Args:
             take_unsettled: whether a record that ends before its first row gives one row of all its cycles, with the
                 status `not_settled`.
 
         Returns:
-            The last results, as from `feed`: measurements, and impacts only in blocks that still wait for `feed`.
+            The last results. They contain impacts only of blocks that were still waiting for the calibration; all
+            others were already returned by `feed`.
         """
         early = self._feed_each(self._take_early(self._start_ns if self.is_calibrated else math.inf))
         if self._started:
@@ -335,7 +343,10 @@ class Tracker:
         return Findings(measurements, early.impacts)
 
     def _take_early(self, first_ns: float, end_ns: float = math.inf) -> list[Table]:
-        """Return the waiting blocks with stamps from `first_ns` to before `end_ns` [ns]; drop and count the others."""
+        """Return the blocks waiting for the first calibration that begin from `first_ns` to before `end_ns` [ns].
+
+        The others are dropped and counted, also the oldest ones of more than `MOST_EARLY`.
+        """
         early, self._early = self._early, []
         kept = [one for one in early if first_ns <= one.stamp_ns < end_ns][-MOST_EARLY:]
         self.counters.unconfigured_scans += sum(len(one.rows) for one in early) - sum(len(one.rows) for one in kept)
@@ -349,7 +360,7 @@ class Tracker:
         )
 
     def _take_unsettled(self) -> None:
-        """Add a row of all cycles of a record that ends before its first row, or the reason why it has none."""
+        """Add a row of all cycles of a record that ends before its first row, or a row with only the reason."""
         accumulator = self._accumulator
         if accumulator is None:
             self._emit_status(Status.NO_FREQUENCY, self._buffer.end - 1)
@@ -362,9 +373,10 @@ class Tracker:
             self._emit(found, self._buffer.end - 1)
 
     def _feed_broken(self, scan: Table, numbers: NDArray[np.float64]) -> Findings:
-        """Split a block with missing scans at its beginning or inside it into contiguous runs, and process them.
+        """Process a block that lacks scans at its beginning or inside it, as several blocks without gaps.
 
-        Scans whose times do not form such runs (another rate than in `daq/info`, or not numbers) count as lost.
+        `numbers` are the indices of its scans relative to its stamp. If they are not increasing or too large (the scans
+        have another rate than in `daq/info`, or times that are not numbers), all scans count as lost.
         """
         rate = self._rate
         if not ((np.abs(numbers) <= LONGEST_S * rate).all() and (np.diff(numbers) > 0).all()):
@@ -396,12 +408,15 @@ class Tracker:
                 self._prepare_detector(time_ns, event)
 
     def _prepare_detector(self, time_ns: int, calibration: Calibration) -> None:
-        """Let the impact detector use a calibration from its time on, which it reaches earlier than the measurement."""
+        """Pass a calibration to the impact detector at once, with the first scan to which it applies.
+
+        The detector processes scans as they arrive, so it needs the calibration before the delayed measurement does.
+        """
         self._detector.recalibrate(first_scan_at(time_ns, calibration.rate_hz, self._start_ns), calibration)
         self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
-        """Measure the scans before a reset of the rig, then begin a new record with the delayed scans after it."""
+        """Apply a reset of the rig: measure the delayed scans before it, and begin a new record with those after it."""
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
@@ -427,9 +442,10 @@ class Tracker:
         self._begin(first, changed=True)
 
     def _resume(self, index: int) -> None:
-        """Start to measure at a scan that does not follow the last one.
+        """Start to measure at scan `index`, which does not directly follow the scan before it.
 
-        It is the first of all, or follows lost blocks or a reset; a measurement in progress ends with that reason.
+        It is the first scan of all, or blocks before it were lost, or the scans went back. A measurement in progress
+        ends with a row that states the reason.
         """
         back = self._started and index < self._buffer.end
         lost = self._started and not back
@@ -487,14 +503,17 @@ class Tracker:
         self._begin(index, changed=True)
 
     def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
-        """Set the state from a scan on. An unchanged state keeps its start; `settling` restarts with every change."""
+        """Set the state from a scan on.
+
+        A state that is set again keeps its start, except `settling` without a reason, which begins again.
+        """
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int, *, changed: bool) -> None:
         """Start new cycles and windows at scan `index`, with the present drive, calibration and settings.
 
-        `changed` tells whether drive, label or calibration change there; `waited` of a row counts from there.
+        `changed` states that drive, label or calibration change there, so that `waited` of the rows counts from there.
         """
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
@@ -537,7 +556,10 @@ class Tracker:
                 self._enter(AnalysisWord.SETTLING, "", last)
 
     def _add(self, accumulator: Accumulator) -> None:
-        """Add the scans up to `_measured` to their cycles, and set `_due`: the next window end, or ADD_S later."""
+        """Add the scans before `_measured` to their cycles, and set `_due`, the scan at which to do this again.
+
+        That is the end of the present window, or `ADD_S` later if that is earlier.
+        """
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
         self._added = self._measured
@@ -545,7 +567,7 @@ class Tracker:
         self._due = min(soon, accumulator.end(self._window))
 
     def _quiet(self, scan: int) -> ImpactPause:
-        """Return the wait for a sphere at a scan: the time without impacts so far, and for how long it delays a row.
+        """Return the wait for a sphere at a scan: the time without impacts so far, and how long it may delay a row.
 
         Without a label of the gap, the first impact proves that there is a sphere; the wait is then `wait_limit_s`,
         because its flight distance is unknown. If impacts cannot be counted, there is no wait.
@@ -567,7 +589,7 @@ class Tracker:
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
-        """Remove the impacts before a scan and return them; later ones stay, because they belong to delayed scans."""
+        """Remove and return the impacts before scan `before`, of those found ahead of the delayed measurement."""
         onsets = joined([NO_IMPACTS, *self._impacts_ahead])
         impacts = self._detector.timed(onsets)
         later = int(np.searchsorted(impacts["scan"], before))
@@ -590,7 +612,7 @@ class Tracker:
         return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
-        """Add a row that gives the reason why a measurement in progress ends without a result, if there is one."""
+        """End the measurement in progress, if there is one, with a row that has only `status` as the reason."""
         if self._accumulator is not None:
             self._add(self._accumulator)
             if self._accumulator.pending_cycles or self._judge.pending:

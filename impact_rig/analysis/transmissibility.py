@@ -96,12 +96,12 @@ def counts_impacts(calibration: Calibration) -> bool:
 def measure_record(
     rows: NDArray[np.void], info: NDArray[np.void], frequency_hz: float, settings: TrackerSettings | None = None
 ) -> Measurement:
-    """Measure the transmissibility from all complete drive cycles of a record, which is taken as settled.
+    """Measure the transmissibility from all complete drive cycles of a record, whose response is assumed to be settled.
 
     If that is impossible, the result has the reason as its status and no numbers.
 
-    The scans (`daq/scan`) are consecutive, shape (n,); `info` are the rows of `daq/info`. Of the settings, only those
-    of harmonics, periodicity and uncertainty are used.
+    `rows` are consecutive scans (`daq/scan`), shape (n,); `info` are the rows of `daq/info`. Of the settings, only
+    those of harmonics, periodicity and uncertainty are used.
 
     Raises:
         ConfigError: `info` does not describe the channels.
@@ -134,9 +134,10 @@ def measure(
 ) -> Measurement:
     """Measure the transmissibility from settled, consecutive cycles of one commanded frequency.
 
-    `bias` is the possible error of the complex transmissibility by a remaining transient. `before` are the amplitudes
-    of an earlier measurement of the same setting, for the plausibility of the channels. If the relative uncertainty
-    exceeds `worst`, by default that of the settings, the result has a status and no numbers.
+    `bias` is the possible error of the complex transmissibility due to a remaining transient. `before` are the
+    amplitudes of an earlier measurement of the same drive setting, with which the channels are compared; None compares
+    nothing. `worst` is the largest relative standard uncertainty of DT with which a result has numbers; None means
+    `worst_relative_uncertainty` of the settings. A measurement without numbers has the reason as its status.
     """
 
     def refuse(why: Rejection, largest: str = "") -> Measurement:
@@ -236,9 +237,9 @@ def measure(
 
 
 def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> complex:
-    """Return X_1 / X_b of some cycles, corrected for lags; NaN if the base does not move.
+    """Return X_1 / X_b of the mean phasors of some cycles, corrected for lags; NaN if the base does not move.
 
-    Settling is judged by this value, which is faster to compute than a measurement.
+    Settling is judged by this value, because it is faster to compute than a measurement.
     """
     base = complex(cycles.phasors[:, BASE, 0].mean())
     if base == 0.0 or not np.isfinite(base):
@@ -248,11 +249,15 @@ def complex_transmissibility(cycles: Cycles, calibration: Calibration, frequency
 
 
 def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[Complex, float]:
-    """Remove the phase drift of the reference from all phasors; return them and the frequency deviation [Hz].
+    """Remove the linear phase drift of a reference channel from all phasors.
 
-    The reference is the current if available, else the base. If neither has a clear signal, nothing is removed, and the
-    deviation is NaN. A DAQ clock that is off by some ppm makes the phases drift, which would reduce the mean
-    amplitudes. The deviation of the drive frequency from the commanded one is the fourth parameter of IEEE Std 1057.
+    A DAQ clock that is off by some ppm makes the phases drift from cycle to cycle, which would reduce the mean
+    amplitudes. The reference is the current if it has a clear signal, else the base. If neither has one, nothing is
+    removed.
+
+    Returns:
+        The phasors, and the measured minus the commanded drive frequency [Hz] (the fourth parameter of IEEE Std 1057);
+        it is NaN if nothing was removed.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
     time -= time.mean()
@@ -268,7 +273,10 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
 
 
 def _amplitude_u(phasors: Complex, white: float) -> float:
-    """Return the standard uncertainty of |mean phasor|: from their scatter or from white noise, if larger."""
+    """Return the standard uncertainty of the amplitude of the mean of some phasors.
+
+    It follows from their scatter, or from the variance `white` that white noise causes in the mean, if that is larger.
+    """
     n = len(phasors)
     scatter = float(np.sum(np.abs(phasors - phasors.mean()) ** 2)) / (n * (n - 1))
     return math.sqrt(max(scatter, white) / 2.0)
@@ -299,7 +307,8 @@ def _parts(
 ) -> list[_Part]:
     """Return the contributions to the uncertainty of DT and phase by scatter, transient, sensitivities and lags.
 
-    `variance` is that of the mean of ln DT and of the phase, shape (2,); `bias` is relative to the transmissibility.
+    `variance` are the variances of the means of ln DT and of the phase, shape (2,). `bias` is the bias due to a
+    transient, divided by the complex transmissibility. `laser_m` and `base_m` are the amplitudes |X_1| and |X_b|.
     """
     # an extrapolated bias contains the noise of the windows, which is already counted: only the excess is a bias
     left = np.maximum(np.array([bias.real, bias.imag]) ** 2 - variance, 0.0) / 3.0
@@ -343,11 +352,11 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
 
 
 def note_on(row: np.void | NDArray[np.void]) -> str:
-    """Return a caveat on a row of `transmissibility/table`: a slow sphere could still strike. Empty for other rows.
+    """Return a caveat on a row of `transmissibility/table` with the status `no_impacts`; empty for other rows.
 
-    It applies to the status `no_impacts`. The time without impacts is the shorter of `impact_age` and `waited`: before
-    that, the drive was different. The slow sphere crosses the labelled gap in that time; without a label of a gap, its
-    speed is not stated.
+    It says for how long there was no impact, and that a slow sphere could still strike. The time without impacts is the
+    shorter of `impact_age` and `waited`, because the drive was different before. The stated speed is that of a sphere
+    that crosses the labelled gap in this time; without a label of the gap, no speed is stated.
     """
     if row["status"] != Status.NO_IMPACTS.value.encode():
         return ""

@@ -46,9 +46,9 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:
-    """Return a value and its expanded uncertainty 2u as text, both to the second significant digit of 2u.
+    """Return a value and its expanded uncertainty 2u as two texts, both to the second significant digit of 2u.
 
-    Numbers that do not exist (NaN or infinite) become "-". An exact value has ten digits.
+    A number that is NaN or infinite becomes "-". A value whose 2u is zero, negligible or not finite has ten digits.
     """
     expanded = COVERAGE * u
     if not (math.isfinite(value) and max(CERTAIN, CERTAIN_PART * abs(value)) < expanded < math.inf):
@@ -70,8 +70,7 @@ def plus_minus(value: float, u: float) -> str:
 def combined(rows: NDArray[np.void]) -> float:
     """Return the standard uncertainty of the mean transmissibility of some rows: the rms of their uncertainties.
 
-    It does not fall with the number of rows, because the errors of the sensitivities dominate it and are the same in
-    all rows.
+    Averaging does not reduce it, because the errors of the sensitivities dominate it and are the same in all rows.
     """
     return math.sqrt(float(np.mean(rows["transmissibility_uncertainty"] ** 2)))
 
@@ -95,7 +94,7 @@ class Budget:
     parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return the share of one line of the budget in the variance of the transmissibility, 0 to 1; 0 if exact."""
+        """Return the share of one line of the budget in the variance of the mean DT, 0 to 1; 0 if the variance is 0."""
         whole = (self.u_transmissibility / self.transmissibility) ** 2
         return part.u_relative**2 / whole if whole else 0.0
 
@@ -128,7 +127,10 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
-    """Return the relative standard uncertainty of a channel's gain due to its sensor's curve; amplitude in its unit."""
+    """Return the relative standard uncertainty of a channel's gain due to the curve of its sensor.
+
+    `amplitude` is that of the vibration, in the unit of the channel.
+    """
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
     share = amplitude / half_range
     return abs(1.5 - 1.875 * share**2) * float(calibration.linearity[channel]) / half_range * U_CUBIC

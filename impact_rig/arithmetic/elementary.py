@@ -59,7 +59,7 @@ _ROUND = 6755399441055744.0  # 1.5 · 2^52: adding and subtracting it rounds to 
 
 @kernel
 def nearest(x: float) -> float:
-    """Return the integer nearest to x, for |x| < 2^51; halfway between two, the even one."""
+    """Return the integer nearest to x, for |x| < 2^51; of two that are equally near, the even one."""
     return (x + _ROUND) - _ROUND
 
 
@@ -67,7 +67,8 @@ def nearest(x: float) -> float:
 def sincos(x: float) -> tuple[float, float]:
     """Return (sin x, cos x), x in radians.
 
-    The error is within 1 ulp up to |x| = 1.6e6; beyond, the reduction adds about the spacing of numbers at x itself.
+    The error is within 1 ulp up to |x| = 1.6e6. For larger |x|, the reduction to |r| <= π/4 adds an error of about the
+    spacing of floats at x.
     """
     k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     first, second = x - k * _HALF_PI_1, k * _HALF_PI_2  # both exact

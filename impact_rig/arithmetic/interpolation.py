@@ -39,7 +39,7 @@ PIECE_TERMS = 14
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the Chebyshev nodes in ascending order, the matrix TO_MONOMIALS, and the matrix that `shorten` uses.
 
-    The latter holds TO_MONOMIALS times the vector of node^k, for k = NODES … PIECE_TERMS − 1.
+    Row k − NODES of the last one is TO_MONOMIALS times the vector of node^k, for k = NODES … PIECE_TERMS − 1.
     """
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []
@@ -62,9 +62,9 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 
 @kernel
 def through_nodes(values: Reals, coefficients: Reals) -> None:
-    """Fill in the coefficients, constant first, of the polynomial in x through `values` at the nodes, ascending.
+    """Compute the coefficients, constant first, of the polynomial in x that has `values` at the nodes.
 
-    Both arrays have the shape (NODES,).
+    The nodes are in ascending order. Both arrays have the shape (NODES,); `coefficients` is overwritten.
     """
     for j in range(NODES):
         total = 0.0
@@ -75,9 +75,9 @@ def through_nodes(values: Reals, coefficients: Reals) -> None:
 
 @kernel
 def shorten(series: Reals, coefficients: Reals) -> None:
-    """Fill in the coefficients of the polynomial of NODES terms that agrees at the nodes with a power series in x.
+    """Compute the coefficients of the polynomial of NODES terms that agrees at the nodes with a power series in x.
 
-    `series` holds the PIECE_TERMS coefficients of the power series, constant first.
+    `series` holds the PIECE_TERMS coefficients of the power series, constant first; `coefficients` is overwritten.
     """
     for j in range(NODES):
         total = series[j]
@@ -92,10 +92,13 @@ def polynomials(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return quantities as polynomials in x = −1 … 1 on pieces, constant first, shape (quantities, pieces, NODES).
+    """Return the coefficients, constant first, of polynomials that interpolate quantities on pieces of time.
+
+    On each piece, x goes from −1 at its start to 1 at its end. The shape is (quantities, pieces, NODES).
 
     Args:
-        of: function that returns the quantities at instants (tick, offset into it), shape (quantities, instants).
+        of: function of instants, given as their ticks and offsets into these [s], that returns the quantities, shape
+            (quantities, instants).
         tick: tick of each piece.
         start: start of each piece, offset into its tick [s].
         end: end of each piece, offset into its tick [s].

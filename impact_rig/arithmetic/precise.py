@@ -48,7 +48,7 @@ R = TypeVar("R")
 
 
 def with_70_digits(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that does what `function` does, with `DIGITS` digits in any thread's decimal context."""
+    """Decorate a function so that it computes with `DIGITS` digits, whatever the decimal context of its caller is."""
 
     @functools.wraps(function)
     def in_context(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -159,10 +159,10 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @with_70_digits
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None if they are not found: two of them are too close to separate.
+    """Return the roots of a real polynomial, or None if two of them are too close together to separate.
 
-    Real roots come first, the largest at the start, then one of each conjugate pair (imaginary part > 0), by imaginary
-    part.
+    Real roots are listed first, in descending order, then one root of each conjugate pair (imaginary part > 0), in
+    ascending order of the imaginary part.
 
     Args:
         coefficients: constant first.
@@ -183,9 +183,10 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 
 
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
-    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) for the root z, or None if two roots have met.
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) at z, which approximates one root of the polynomial.
 
-    It is to be subtracted from z.
+    The step is to be subtracted from z. It is None if z equals one of `others`, the approximations of the other roots,
+    or if the denominator is 0.
     """
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():
@@ -200,7 +201,10 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 
 
 def _paired(found: list[Complex]) -> list[Complex] | None:
-    """Return the real roots and those above the real axis, in order; None if the others are not their conjugates."""
+    """Return the real roots, then those with a positive imaginary part, in the order of `roots`.
+
+    None is returned if the remaining roots cannot be the conjugates of the latter, because their number differs.
+    """
     real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
     upper = [z for z in found if z.imag > _BLUR * abs(z.real)]
     if len(real) + 2 * len(upper) != len(found):

@@ -127,7 +127,10 @@ def _next(
 def _beyond(
     s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Return a normal number beyond the lowest layer's right end (Marsaglia 1964), and the generator's next state."""
+    """Return a normal number above `_TAIL`, the right end of the lowest layer, and the generator's next state.
+
+    The method is that of Marsaglia (1964).
+    """
     while True:
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
         excess = -log(1.0 - np.float64(bits >> _TWELVE) * _UNIT_52) / _TAIL
@@ -140,9 +143,11 @@ def _beyond(
 def _rejected(
     bits: np.uint64, x: float, s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Decide about a normal number x that the next layer does not cover, and draw others until one is accepted.
+    """Accept or reject a candidate x for a normal number, and draw other candidates until one is accepted.
 
-    `bits` are the random bits that x was made from. Returns bits, number and the generator's next state.
+    x lies in a part of its layer that the layer above does not cover, where not every candidate is accepted. `bits` are
+    the random bits that x was made from. The result is the bits of the accepted number, that number, and the
+    generator's next state.
     """
     while True:
         layer = np.int64(bits & _BYTE)
@@ -163,7 +168,7 @@ def _rejected(
 
 @entry(WORDS, REALS)
 def fill_normal(state: Words, out: Reals) -> None:
-    """Fill an array with the next standard normal numbers of the generator `state`, which moves on."""
+    """Fill `out` with the next standard normal numbers of the generator `state`, which is advanced."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -177,7 +182,7 @@ def fill_normal(state: Words, out: Reals) -> None:
 
 @entry(WORDS, REALS)
 def fill_uniform(state: Words, out: Reals) -> None:
-    """Fill an array with the next numbers of the generator `state`, uniform in 0 <= x < 1; the state moves on."""
+    """Fill `out` with the next numbers, uniform in 0 <= x < 1, of the generator `state`, which is advanced."""
     s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
     for i in range(out.shape[0]):
         bits, s0, s1, s2, s3 = _next(s0, s1, s2, s3)
@@ -205,9 +210,9 @@ _FILTER_STATE = np.dtype(
 
 
 class BandPass(NamedTuple):
-    """Digital band-pass filter: a gain of the input, then sections in series, records of a_1 and a_2.
+    """Digital band-pass filter: a factor for the input, then second-order sections in series (`filter_in_place`).
 
-    The least resonant section comes first.
+    `sections` are records of their coefficients a_1 and a_2; the least resonant section is the first.
     """
 
     gain: float
@@ -243,10 +248,10 @@ def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
 
 
 def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) -> list[Complex]:
-    """Return two poles of the digital filter, one of each conjugate pair that a low-pass pole and its conjugate give.
+    """Return the two poles of the digital band-pass that arise from one pole of the low-pass prototype.
 
-    `prototype` is that pole of a low-pass with corner 1; `width` is W and the last argument ω_0² of the band, see this
-    module.
+    The conjugates of these poles arise from the conjugate of `prototype`. `width` is W and `omega_0_square` is ω_0² of
+    the band, see the docstring of this module.
     """
     half_sum = prototype * Complex(width / 2)
     half_difference = square_root(half_sum * half_sum - Complex(omega_0_square))
@@ -254,7 +259,7 @@ def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) 
 
 
 def _noise_power(poles: list[Complex]) -> Decimal:
-    """Return the power Σ b_n² of white noise of unit power behind the filter Π (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹).
+    """Return the power Σ b_n² of white noise of unit power after it has passed (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹).
 
     p_k are `poles`. The filter is c + Σ r_k / (1 − p_k z⁻¹) in partial fractions, and b_0 = 1.
     """
@@ -299,7 +304,8 @@ class BandNoise:
     def numbers(self, first: int, count: int) -> NDArray[np.float64]:
         """Return the numbers first … first + count − 1, counted from 0.
 
-        The first call must start at 0, each later one within the numbers of the call before or right after them.
+        The first call must have `first` = 0. In each later call, `first` must be the index of a number that the call
+        before returned, or the index right after these.
         """
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Configuration fields with unit, range and origin, which reject bad values with a message that names the field.
+"""Configuration fields with unit, range and origin, which reject invalid values with a message that names the field.
 
 A section is a frozen attrs class whose fields are made by `quantity`, `quantities`, `choice`, `integer`, `switch`,
 `names` or `text`. The metadata of each field contains what parameter descriptors, `docs/reference/interface.md` and
@@ -47,8 +47,8 @@ _LIST_FORM = re.compile(r"\[[-+.0-9eE, ]{1,10000}\]")
 class Origin(enum.Enum):
     """Origin of a default value.
 
-    It is printed in the paper, identified (chosen so that the statements of the paper hold), or assumed (a plausible
-    catalogue value, or a choice of this project).
+    `PAPER`: the paper prints it. `IDENTIFIED`: it was chosen so that the statements of the paper hold. `ASSUMED`: it is
+    a plausible catalogue value, or a choice of this project.
     """
 
     PAPER = "paper"
@@ -69,9 +69,9 @@ class FieldInfo:
         low_open: whether the value must be greater than `low`, not equal to it.
         high_open: whether the value must be less than `high`, not equal to it.
         choices: allowed words; empty for a value that is not a word.
-        read_only: whether the value is fixed at the start of the rig.
+        read_only: whether the value cannot change after the start of the rig.
         pattern: regular expression that a text must match completely; empty if any text is allowed.
-        means: texts that `pattern` allows, for messages.
+        means: description, for messages, of the texts that `pattern` allows.
     """
 
     doc: str
@@ -112,14 +112,14 @@ class FieldInfo:
 
 
 def info(attribute: attrs.Attribute[Any]) -> FieldInfo:
-    """Return the description of a configuration value, from its attrs attribute, which this module has made."""
+    """Return the description of a configuration value from its attrs attribute, made by a function of this module."""
     found = attribute.metadata[METADATA_KEY]
     assert isinstance(found, FieldInfo)
     return found
 
 
 def describe_fields(section: type[S]) -> type[S]:
-    """Add meaning, range, unit and default of each field to the docstring of a section; a decorator of its class."""
+    """Decorate the class of a section: add meaning, range, unit and default of each field to its docstring."""
     lines = [inspect.cleandoc(section.__doc__ or ""), "", "Attributes:"]
     for attribute in attrs.fields(section):
         about = info(attribute)
@@ -198,9 +198,9 @@ def _to_word(meant: Mapping[tuple[type, object], str], value: object) -> object:
 
 
 def _list_to_names(value: object) -> object:
-    """Return a list of texts as a tuple, without empty texts, because ROS writes an empty list as `[""]`.
+    """Return a list of texts as a tuple without empty texts, because ROS writes an empty list as `[""]`.
 
-    Line ends within a text become blanks, because the journal has one line per text.
+    Line ends within a text become blanks. A value that is not a list is returned unchanged, for the validator to check.
     """
     if not isinstance(value, (list, tuple)):
         return value
@@ -234,8 +234,8 @@ def quantity(
     """Return the attrs field of a finite float with unit and range.
 
     `above` and `below` are bounds that the value must not reach, `at_least` and `at_most` those that it may reach.
-    Without bounds, a value other than 0 still has a magnitude from `LEAST` to `MOST`. A `read_only` value is fixed at
-    the start of the rig.
+    In any case, a value other than 0 must have a magnitude from `LEAST` to `MOST`. A `read_only` value cannot change
+    after the start of the rig.
     """
     about = FieldInfo(
         doc,
@@ -267,7 +267,7 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of an integer of at most 64 bits with a unit, and a range that includes its bounds."""
+    """Return the attrs field of an integer of at most 64 bits with a unit; its value may be equal to its bounds."""
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 
@@ -284,8 +284,9 @@ def choice(
 ) -> Any:
     """Return the attrs field of a word out of `choices`; none of them may be a word that YAML reads as another type.
 
-    `switched` maps true and false to words; this covers `on` and `off`, which YAML reads as true and false.
-    `formerly` maps words of an earlier version, which recordings contain, to their present names.
+    `switched` maps true and false to words of `choices`, for which these values are then accepted, and also `on` and
+    `off`, which YAML reads as true and false. `formerly` maps words of an earlier version, which recordings contain, to
+    their present names.
     """
     meant: dict[tuple[type, object], str] = {(str, word): now for word, now in (formerly or {}).items()}
     for state, word in (switched or {}).items():

@@ -11,7 +11,9 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Sections of a configuration: mechanics, acquisition, time and output; contact and instruments define their own.
+"""Sections of a configuration: mechanics, acquisition, time and output.
+
+The sections of contact laws and instruments are in `impact_rig.physics.contact` and `impact_rig.instruments`.
 
 The defaults are the paper's rig. The paper does not give m1, k1, c1, amplitudes and the shaker's constants, so each
 field states the origin of its value. Ranges are some decades wide on both sides: wide enough for any rig of this kind,
@@ -28,12 +30,15 @@ from impact_rig.errors import ConfigError
 
 FASTEST_HZ = 1e4  # far above any motion of this rig; at a hundred megahertz a tick would take minutes to simulate
 SLOWEST_HZ = 0.1
-"""Lowest drive frequency, lower than that of any shaker. Columns with the highest natural frequency, 10⁴ times as high,
-then bend by 10⁻⁸ of the base's motion. This deflection, a difference of two positions, has lost half of its digits.
+"""Lowest drive frequency that a configuration may have, lower than that of any shaker.
+
+Columns with the highest natural frequency, 10⁴ times as high, then bend by 10⁻⁸ of the base's motion. This deflection
+is a difference of two positions, so half of its digits are lost.
 """
 SLOWEST_NOISE_HZ = 1.0
-"""Lowest frequency of a random drive. It moves a base in straight lines between ticks, which costs further digits of
-the columns' deflection, see `SLOWEST_HZ`.
+"""Lowest frequency of a random drive, above `SLOWEST_HZ`.
+
+A random drive moves a prescribed base in straight lines between ticks, which costs further digits of the deflection.
 """
 
 
@@ -230,7 +235,7 @@ class Daq:
 
 @attrs.frozen(kw_only=True)
 class Time:
-    """Pace of rig time, and the nodes for which it waits."""
+    """Pace of rig time, and the nodes (peers) whose acknowledgements rig time waits for."""
 
     mode: str = choice(
         "realtime",
@@ -263,11 +268,13 @@ class Time:
 
     def __attrs_post_init__(self) -> None:
         if self.mode == "free_running" and not self.peers:
-            raise ConfigError("peers must not be empty in free_running, because queues would overflow, got []")
+            raise ConfigError(
+                "peers must name the nodes whose acknowledgements pace the rig if time.mode is free_running, got []"
+            )
 
     @property
     def is_simulated(self) -> bool:
-        """Return whether rig time differs from wall time, which it does except in real time × 1."""
+        """Return whether rig time differs from wall time: always, except in `realtime` with factor 1."""
         return self.mode != "realtime" or self.factor != 1.0
 
     @property

@@ -55,15 +55,15 @@ class Tree(Generic[Root]):
         return dict(_walk(self.root, ""))
 
     def load(self, path: Path | str, overrides: Mapping[str, object] | None = None) -> Root:
-        """Return the configuration in a YAML file; a value that the file lacks has its default.
+        """Return the configuration in a YAML file; a value that is not in the file has its default.
 
         Args:
             path: the file.
             overrides: values by dotted name (`section.key`) that replace those of the file.
 
         Raises:
-            ConfigError: the file cannot be read, is not YAML, or holds an unknown key or a bad value; the message
-                names key, value, range and file.
+            ConfigError: the file cannot be read, is not YAML, or contains an unknown key or an invalid value; the
+                message names key, value, range and file.
         """
         path = Path(path)
         try:
@@ -88,10 +88,10 @@ class Tree(Generic[Root]):
         return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
-        """Return a copy of `base` with `changes`, new values by dotted name (`section.key`), applied all together.
+        """Return a copy of `base` with `changes`: new values by dotted name (`section.key`).
 
         Raises:
-            ConfigError: unknown key, bad value, or values that contradict each other.
+            ConfigError: a key is unknown, a value is invalid, or the resulting values contradict each other.
         """
         for name in changes:
             if name not in self._known:
@@ -149,7 +149,7 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
     Args:
         tree: the outermost mapping.
         prefix: names of the mappings around `tree`, each with a dot; set by the recursion.
-        depth: their number; set by the recursion.
+        depth: number of these mappings; set by the recursion.
 
     Raises:
         ConfigError: a key is not a text, `tree` is not a mapping, or there are too many keys or levels.

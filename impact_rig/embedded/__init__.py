@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Rig without Python: rig.c, the snapshot that initialises it, and the formats that embed it."""
+"""Rig without Python: rig.c, the snapshot that initialises it, and the FMU and WebAssembly module that contain it."""
 
 VERSIONS = ("3.0", "2.0")
 """Versions of the Functional Mock-up Interface (FMI) in which `write_fmu` can write a rig, the default first."""

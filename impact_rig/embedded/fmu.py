@@ -54,11 +54,11 @@ ABOUT = {column.name: column.doc.rstrip(".") for column in TRUTH_SCAN_COLUMNS}
 
 
 def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels: Path = FOLDER) -> None:
-    """Write a co-simulation unit of a rig; a file that exists is replaced.
+    """Write a co-simulation unit (FMU) of a rig; an existing file is replaced.
 
     Args:
-        config: configuration of the rig; everything except the gap is fixed in the unit. With the waveform "stream" the
-            input `current` is a sample in each step, otherwise the amplitude of a sine.
+        config: configuration of the rig, of which the unit can change only the gap. With the waveform "stream", the
+            input `current` of the unit is the sample of the drive in each step, otherwise the amplitude of a sine.
         path: path of the file to write.
         version: version of FMI, one of `VERSIONS`.
         kernels: folder of the compiled kernels; those of another machine need its cross compiler, named in the
@@ -66,7 +66,7 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
 
     Raises:
         ConfigError: the rig cannot run without Python, see `snapshot`.
-        ImpactRigError: the folder holds no kernels, there is no C compiler, or it fails.
+        ImpactRigError: the folder contains no kernels, or the C compiler is missing or fails.
         OSError: the file cannot be written.
     """
     data = snapshot(config)
@@ -101,7 +101,7 @@ def _compile(work: Path, kernels: Path) -> str:
     """Compile the FMU's shared library into the folder `work`; return the machine for which the compiler makes code.
 
     Raises:
-        ImpactRigError: there is no C compiler, or it fails.
+        ImpactRigError: the C compiler is missing or fails.
     """
     sources = [str(HERE / "fmu.c"), str(HERE / "rig.c"), str(kernels / OBJECT)]
     options = ["-shared", "-fPIC", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", f"-I{work}", f"-I{kernels}"]
@@ -122,7 +122,7 @@ def _compile(work: Path, kernels: Path) -> str:
 def _description(config: RigConfig, row: np.void, version: str, token: str) -> str:
     """Return the content of an FMU's modelDescription.xml: its variables, their start values and its capabilities.
 
-    `row` is the first part of the rig's snapshot.
+    `row` is the first part of the rig's snapshot (`SETUP`), `token` identifies the FMU.
     """
     names = [name.decode() for name in row["name"][: row["channels"]]]
     kind = config.drive.kind

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Snapshot of a rig for rig.c: everything that follows from its configuration, computed once, as bytes."""
+"""Snapshot of a rig for rig.c: all numbers that rig.c needs, computed from the configuration, as bytes."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def snapshot(config: RigConfig) -> bytes:
     """Return the bytes from which rig.c starts a rig of this configuration, at rest.
 
     Raises:
-        ConfigError: rig.c does not support such a rig: a chirp, a random drive, an initial amplitude, ideal instruments
-            or planned faults. Or this process does not use the compiled kernels.
+        ConfigError: rig.c does not support this rig: a chirp, a random drive, an initial amplitude, ideal instruments,
+            planned faults, or a contact law of another package. Or this process does not use the compiled kernels.
     """
     _check(config)
     model, chain, drive = build(config), Chain(config), new_generator(config)
@@ -103,7 +103,9 @@ def _check(config: RigConfig) -> None:
 
 
 def _name_of(pointer: Any) -> str:
-    """Return the name under which the compiled kernels export a function of a contact law.
+    """Return the name under which the compiled kernels export a force function of a contact law.
+
+    `pointer` holds the address of the function. It is found only if the law belongs to this package.
 
     Raises:
         ConfigError: this process does not use the compiled kernels, or they do not contain the law.

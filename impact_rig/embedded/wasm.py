@@ -13,9 +13,9 @@
 # limitations under the License.
 """Build of the kernels and rig.c as WebAssembly: `python -m impact_rig.embedded.wasm FILE` (pip install ziglang).
 
-The module imports one function, with which libc fills its stack guard. It exports the functions of rig.h, every kernel
-under its name in impact_rig.h, `impact_rig_address` and `malloc`. The address of a kernel is its index in the table of
-functions.
+The WebAssembly module imports one function, with which libc fills its stack guard. It exports the functions of rig.h,
+every kernel under its name in impact_rig.h, `impact_rig_address` and `malloc`. The address of a kernel is its index in
+the module's table of functions.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def build_wasm(path: Path, keep: Path) -> None:
 
     Args:
         path: path of the module to write.
-        keep: folder in which the translated kernels are kept, so that the next build does not translate them again.
-            Its files are reused if they are of these sources.
+        keep: folder in which the translated kernels are kept for the next build, which reuses them if the sources have
+            not changed.
 
     Raises:
         SystemExit: the kernels cannot be translated.

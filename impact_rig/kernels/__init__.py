@@ -13,15 +13,15 @@
 # limitations under the License.
 """Compiled functions: marked in the sources, and built into one library by `python -m impact_rig.kernels.build`.
 
-`kernel` marks a function that compiled code calls, `entry` one that Python calls, with its argument types. One of three
-modes is chosen when this module is imported:
+The decorator `kernel` marks a function that only compiled code calls. The decorator `entry` marks one that Python
+calls, and states the types of its arguments. One of three modes is chosen when this module is imported:
 
     library   the shared library, if it exists and was built from these sources; Numba is not imported
     jit       Numba compiles each function at its first call: chosen at installation, or while a kernel is edited
     plain     the functions themselves: the same bits, about a thousand times slower
 
-The environment variable `IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. See
-docs/explanation/kernels.md. `records` are arrays whose elements have named fields in all three modes.
+The environment variable `IMPACT_RIG_KERNELS` selects a mode; by default it is the first that is available. `records`
+makes arrays whose elements have named fields, in all three modes. See docs/explanation/kernels.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 PACKAGE = Path(__file__).parents[1]
 IS_CHECKOUT = (PACKAGE.parent / "Makefile").exists()
 BUILD = "run `make kernels`" if IS_CHECKOUT else "run `python -m impact_rig.kernels.build`"
-"""Remedy in messages about the library."""
+"""Remedy for a missing or outdated library, as part of a message."""
 VARIABLE = "IMPACT_RIG_KERNELS"
 MODES = ("library", "jit", "plain")
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -136,8 +136,8 @@ class Exported(NamedTuple):
 
     Attributes:
         function: the function in Python.
-        type: type of the function that `around` returns; this one is exported.
-        around: wrapper that returns a function of that type, which calls the given one.
+        type: type of the function that is exported, which `around` makes.
+        around: function that takes `function`, compiled, and returns the function to export, which calls it.
     """
 
     function: Callable[..., Any]
@@ -190,13 +190,13 @@ def is_cut_off(path: Path) -> bool:
 def library() -> ModuleType | None:
     """Return the library of kernels if it exists, can be loaded and was built from the present sources; otherwise None.
 
-    If it exists but cannot be used, a line on stderr says why, and this process runs without it.
+    If the library exists but cannot be used, a line on stderr says why, and this process runs in another mode.
     """
     spec = importlib.util.find_spec(f"{__name__}._library")
     if spec is None:
         return None
     found: ModuleType | None = None
-    why: object = "its end is missing"
+    why: object = "the file is incomplete"
     if spec.origin is None or not is_cut_off(Path(spec.origin)):
         try:
             from impact_rig.kernels import _library as found  # type: ignore[attr-defined,no-redef]  # noqa: PLC0415  # where it is built
@@ -238,16 +238,19 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 def kernel(function: FunctionT) -> FunctionT:
-    """Mark a function that compiled functions call; return it, in mode `jit` in a form compiled at its first call."""
+    """Mark a function that compiled functions call.
+
+    The function itself is returned, or in mode `jit` a version that is compiled at its first call.
+    """
     kernels.append(function)
     return _compiled(function)
 
 
 def entry(*arguments: Any, returns: Any = None) -> Callable[[FunctionT], FunctionT]:
-    """Mark a function that Python calls with arguments of these types; see `Entry`.
+    """Return a decorator that marks a function which Python calls with arguments of these types; see `Entry`.
 
-    In mode `library` the decorated name stands for the compiled function in the library, in mode `jit` for one that is
-    compiled at its first call.
+    The decorator returns the compiled function of the library in mode `library`, a version that is compiled at its
+    first call in mode `jit`, and the function itself in mode `plain`.
     """
 
     def mark(function: FunctionT) -> FunctionT:
@@ -278,9 +281,9 @@ def address(name: str) -> int:
 
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
-    """Return how the library unpacks arguments of these types: a letter per piece, and the dtypes of the arrays.
+    """Return how the library unpacks arguments of these types, as a text of letters and the dtypes of the arrays.
 
-    library.c explains the letters.
+    Each letter stands for one argument, or for one field of a tuple; library.c explains the letters.
     """
     letters: list[str] = []
     dtypes: list[np.dtype[Any]] = []
@@ -301,7 +304,7 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
 
 
 def codes(kind: Any) -> str:
-    """Return the letters that stand for numbers of these types in a plan, see library.c; empty for None."""
+    """Return the letters that stand for numbers of these types in the text that `plan` returns; empty for None."""
     if kind is None:
         return ""
     return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
@@ -323,20 +326,20 @@ def _has_free_names(kind: np.dtype[np.void]) -> bool:
 
 
 def room(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return `count` records for kernels that will be written before they are read; they are not cleared."""
+    """Return `count` records for kernels with arbitrary content, which must be written before it is read."""
     return for_kernels(np.empty(count, kind))
 
 
 def for_kernels(rows: NDArray[np.void]) -> Any:
-    """Return rows for kernels: unchanged, or with fields as attributes if kernels run as plain Python."""
+    """Return rows in the form that kernels accept: unchanged, or in mode `plain` with their fields as attributes."""
     return with_fields(rows) if MODE == "plain" else rows
 
 
 def with_fields(rows: NDArray[np.void]) -> Any:
     """Return a recarray of the same memory, whose elements have their fields as attributes.
 
-    In plain Python the elements use descriptors for that. NumPy's own record takes twenty times as long per field,
-    which is nearly all the time of an interpreted kernel.
+    In mode `plain`, the elements have a class with one property per field. NumPy's own record takes twenty times as
+    long per field, which would be nearly all the time of an interpreted kernel.
     """
     found = rows.view(np.recarray)
     if MODE == "plain":

@@ -15,16 +15,17 @@
 
     _library.abi3.so   the shared library that Python loads
     impact_rig.o       the same kernels for programs in C, without Python
-    impact_rig.h       their declarations
+    impact_rig.h       declarations of the kernels for C
 
-Files that exist and are up to date are kept, or copied to the folder. `--machine aarch64` builds for another machine,
-with the cross compiler that the environment variable CC names. `--keep DIR` keeps the translated kernels, which serve
-every machine. A release contains the kernels as assembly, which needs no translation.
+If the files next to the sources are up to date, they are kept, and copied to the folder if one is given.
+`--machine aarch64` builds for another machine, with the cross compiler that the environment variable CC names.
+`--keep DIR` keeps the translated kernels, which serve every machine. A release contains the kernels as assembly, which
+needs no translation.
 
-Numba translates each entry, and the functions it calls, to LLVM code once, for the baseline CPU of this kind of machine
-(the arithmetic is portable, so the bits are the same). Each of two processes makes one module of its part, which LLVM
-optimises as a whole, once (`emit`). The system's C compiler links the parts with kernels.c and, for Python, with
-library.c.
+Numba translates each entry, and the functions it calls, to LLVM code once, for the oldest CPU of this kind of machine
+(the arithmetic is portable, so the bits are the same on all). The kernels have two parts, each translated by its own
+process to one LLVM module, which LLVM optimises as a whole (`emit`). The system's C compiler links the parts with
+kernels.c and, for Python, with library.c.
 
 The build uses parts of Numba that are not its public interface, so it pins Numba's version.
 """
@@ -64,8 +65,9 @@ PARTS = {
 }
 """Parts of the kernels, which are translated in parallel: for each, the modules whose import declares its entries."""
 CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}
-"""LLVM's name of the oldest CPU that kernels must run on, by machine. For the name of a wrong CPU, LLVM emits calls of
-functions that compute in software.
+"""LLVM's name of the oldest CPU that kernels must run on, by machine.
+
+For a name that does not belong to the machine, LLVM would emit calls of functions that compute in software.
 """
 NUMBA = "0.68.1"
 """Version of Numba that translates the kernels; other versions may lack the internal parts that the build uses."""
@@ -74,12 +76,17 @@ WITHOUT = f"set {VARIABLE}=jit (compiled by Numba at the first start after each 
 
 
 def this_machine() -> str:
-    """Return the machine that Python builds for: this one, or that of _PYTHON_HOST_PLATFORM (linux-aarch64)."""
+    """Return the machine that Python builds for, such as `x86_64`.
+
+    It is this machine, unless the environment variable _PYTHON_HOST_PLATFORM names another (`linux-aarch64`).
+    """
     return sysconfig.get_platform().rpartition("-")[2]
 
 
 def cpu(machine: str) -> str:
-    """Return LLVM's name of the oldest CPU of a kind of machine, named as by `platform.machine`; code is made for it.
+    """Return LLVM's name of the oldest CPU of a kind of machine, for which kernels are compiled.
+
+    `machine` is a name such as `platform.machine` returns.
 
     Raises:
         SystemExit: kernels are not supported on such a machine.
@@ -91,7 +98,7 @@ def cpu(machine: str) -> str:
 
 
 def sources() -> list[Path]:
-    """Return the files that determine the library: modules with kernels, what these import, and build files."""
+    """Return the files that determine the library: modules with kernels, the modules these import, and build files."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -116,31 +123,32 @@ def compiler() -> list[str]:
 def symbol(name: str) -> str:
     """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
 
-    The suffix says that the arguments are passed as slots. An exported force function has none: it takes its arguments
-    directly.
+    The suffix `_slots` says that the arguments are passed in slots (library.c). An exported force function takes its
+    arguments directly, so its name has no suffix.
     """
     plain = f"ir_{name.replace('.', '_')}"
     return plain if name.startswith("force.") else f"{plain}_slots"
 
 
 def is_built() -> bool:
-    """Return whether library, object file and header exist and the library was built from these sources."""
+    """Return whether library, object file and header exist and the library was built from the present sources."""
     return all((FOLDER / name).exists() for name in (HEADER, OBJECT)) and library() is not None
 
 
 def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) -> None:
     """Build library, object file and header of the kernels into a folder, by default next to the sources.
 
-    The progress is printed. Existing files are replaced, but not if the build fails.
+    The progress is printed. Existing files are replaced; if the build fails, they stay.
 
     Args:
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
-        keep: folder that holds the kernels as LLVM code, or gets them, for the next build; default: a temporary one.
+        keep: folder for the translated kernels (LLVM code). Those in it are used if the sources have not changed;
+            otherwise new ones are written into it. Default: a temporary folder.
 
     Raises:
-        SystemExit: the C compiler or the translation fails, or there is nothing to compile: neither the assembly of a
-            release nor the pinned version of Numba is installed.
+        SystemExit: the machine is not supported, the C compiler is missing or fails, or the kernels cannot be
+            translated. Without the assembly of a release, the translation needs the pinned version of Numba.
     """
     began = time.monotonic()
     machine = machine or this_machine()
@@ -172,7 +180,11 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
 
 
 def translated(folder: Path) -> Path:
-    """Fill the folder with the translated kernels of these sources, unless it already holds them, and return it."""
+    """Write the translated kernels of the present sources into a folder, unless it contains them, and return it.
+
+    Raises:
+        SystemExit: the pinned version of Numba is not installed, or the translation fails.
+    """
     if not _is_of_these_sources(folder):
         _check_numba()
         folder.mkdir(parents=True, exist_ok=True)
@@ -194,9 +206,9 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 
 
 def write_assembly(keep: Path, folder: Path) -> None:
-    """Create a folder and write the kernels as assembly into it, from which a C compiler builds them without Numba.
+    """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
-    `keep` is the folder that holds the translated kernels or gets them.
+    `keep` is the folder for the translated kernels, see `translated`.
     """
     found = translated(keep)
     folder.mkdir()
@@ -226,9 +238,10 @@ def write_header(found: Path, path: Path) -> None:
 
 
 def write_tables(found: Path, work: Path) -> list[str]:
-    """Write `tables.c` into `work`, the addresses by name that kernels.c and library.c need; return the kernels' names.
+    """Write `tables.c` into `work`: the address of each kernel by its name, which kernels.c and library.c need.
 
-    `found` is the folder with the translated kernels. The file also holds version and digests of the sources.
+    The file also contains the version of the package and the digests of the sources. `found` is the folder with the
+    translated kernels. The result is their names.
     """
     names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
     declared = "\n".join(f"extern {_prototype(name)};" for name in names)
@@ -252,7 +265,7 @@ const char kernel_version[] = {json.dumps(__version__)};
 
 
 def _check_loads(path: Path) -> None:
-    """Load a library in a separate process, because the linker accepts a library with undefined functions.
+    """Check in a separate process that a library can be loaded: the linker accepts one with undefined functions.
 
     Raises:
         SystemExit: the library cannot be loaded.
@@ -261,7 +274,7 @@ def _check_loads(path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", load, str(path)], capture_output=True, text=True, check=False)  # noqa: S603  # ourselves
     if done.returncode:
         why = done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}"
-        raise SystemExit(f"the library of kernels cannot be loaded: {why}")
+        raise SystemExit(f"the library of kernels was built, but Python cannot load it: {why}")
 
 
 def _check_numba() -> None:
@@ -324,7 +337,7 @@ def _compile(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Build the kernels of these sources in a folder, or copy existing ones: the command of this module."""
+    """Run the command of this module: build the kernels in a folder, or copy those that are up to date to it."""
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"
         "date files are kept, or copied to the folder."

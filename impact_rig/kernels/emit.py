@@ -50,9 +50,9 @@ def target(machine: str) -> Target:
 
 
 def emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
-    """Optimise linked code for a machine and return its object file and its assembly.
+    """Optimise the linked code of one part of the kernels for a machine; return its object file and its assembly.
 
-    `bitcode` is the file of one part that `translate` has written.
+    `bitcode` is the file that `translate` wrote for the part. `machine` is as in `target`.
     """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()

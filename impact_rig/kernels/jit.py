@@ -56,19 +56,23 @@ def signature(kind: Function) -> Any:
 def compiled(function: Callable[..., Any]) -> Any:
     """Return a version of the function that Numba compiles at its first call and keeps on disk.
 
-    Later processes load it, until a source file of the package changes. A function without a file is not kept.
+    Later processes load the compiled code from disk, until a source file of the package changes. A function that was
+    not defined in a file is not kept.
     """
     kept = Path(function.__code__.co_filename).is_file()  # code that was typed in has no file for the cache
     return _kept(lambda: njit(cache=kept, **OPTIONS)(function))
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
-    """Compile a function for the signature `kind` now, and return it with the `address` that kernels call."""
+    """Compile a function with the signature `kind` at once, and return it; kernels call it by its `address`."""
     return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 
 def _kept(compile_: Callable[[], Any]) -> Any:
-    """Call `compile_` with a cache for these sources alone: Numba's own cache misses changes of called functions."""
+    """Call `compile_` while Numba's cache on disk is a folder that only the present sources of the package use.
+
+    With its usual folder, Numba would not notice changes in the functions that a cached function calls.
+    """
     before, config.CACHE_DIR = config.CACHE_DIR, _directory()
     try:
         return compile_()

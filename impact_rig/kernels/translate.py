@@ -14,8 +14,8 @@
 """Translation of one part of the kernels into linked LLVM code; it runs in a separate process, started by `build`.
 
 This is the only module that uses Numba's internals. Three things differ from Numba's own compilation: code is made for
-the baseline CPU, nothing is optimised before all functions are together, and each entry gets a second function around
-it. That function, `int32_t name(uint64_t *in, uint64_t *out)`, takes its arguments from slots (see library.c).
+the oldest supported CPU, nothing is optimised before all functions are linked, and each entry gets a wrapper. The
+wrapper, `int32_t name(uint64_t *in, uint64_t *out)`, takes the arguments from slots (see library.c).
 """
 
 from __future__ import annotations
@@ -42,7 +42,10 @@ from impact_rig.kernels.header import header
 from impact_rig.kernels.jit import numba_type
 
 INSIDE: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Numba's options for functions that only kernels call; nothing is allocated in them, so no references are counted."""
+"""Numba's options for functions that only kernels call: no wrappers for Python and C, no counting of references.
+
+No references need be counted, because kernels allocate nothing.
+"""
 NOTHING = -2
 """Status with which a function compiled by Numba reports that it returned None."""
 WORD, STATUS = ir.IntType(64), ir.IntType(32)
@@ -63,12 +66,12 @@ class Context(cpu.CPUContext):  # type: ignore[misc]
     """Numba's compilation target without loading any compiled code into this process."""
 
     def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
-        """Return a unique object instead of an executable function: Numba finds a callee's code by it."""
+        """Return a unique object instead of an executable function; Numba uses it as the key of the function's code."""
         return [].append
 
 
 def main() -> None:
-    """Translate the part of the kernels that the first command-line argument names into the folder of the second."""
+    """Translate one part of the kernels: the command-line arguments are its name and the folder for the results."""
     part, work = sys.argv[1], Path(sys.argv[2])
     for module in PARTS[part]:
         importlib.import_module(f"impact_rig.{module}")
@@ -92,12 +95,12 @@ def main() -> None:
 
 
 def part_of(name: str) -> str:
-    """Return the part of the kernels in which an entry is translated, by its name: mechanics or instruments."""
+    """Return the part of the kernels (`mechanics` or `instruments`) to which the entry with this name belongs."""
     return "mechanics" if name.startswith(("physics.", "arithmetic.", "rig.")) else "instruments"
 
 
 def _let_numba_see_kernels() -> None:
-    """Replace every kernel, in all modules that have imported it, by a function that Numba can compile calls of."""
+    """Replace every kernel, in all modules that have imported it, by a function that compiled code can call."""
     seen = {function: njit(**INSIDE)(function) for function in declared.kernels}
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in list(vars(module).items()):
@@ -107,9 +110,9 @@ def _let_numba_see_kernels() -> None:
 
 
 def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
-    """Translate an entry or exported function under its name in C and return the container of its code.
+    """Translate an entry or exported function, and return Numba's container with its code.
 
-    The container also refers to those of the functions that it calls.
+    In the container, the function has its name in C (`symbol`). The container refers to those of all functions called.
     """
     flags = compiler.Flags()
     flags.no_cpython_wrapper, flags.no_cfunc_wrapper = True, isinstance(one, Entry)
@@ -134,9 +137,10 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
 
 
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define in `module` the C function `name`, which takes the arguments of a kernel from slots and stores its result.
+    """Define in `module` a C function `name` that takes the arguments of a kernel from slots and calls the kernel.
 
-    `described` is Numba's description of the compiled kernel. The function returns 0, or the status of a failure.
+    It stores the kernel's results in its second argument, and returns 0 or the status of a failure. `described` is
+    Numba's description of the compiled kernel.
     """
     words = WORD.as_pointer()
     around = ir.Function(module, ir.FunctionType(STATUS, [words, words]), name)
@@ -167,9 +171,9 @@ def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
-    """Define in `module` the C function `name`, which calls the one with C arguments that Numba made around a function.
+    """Define in `module` a C function `name` that calls the C wrapper which Numba has made for a function.
 
-    `described` is Numba's description of that function.
+    `described` is Numba's description of the function. The purpose is the name: Numba's own name is not predictable.
     """
     kinds = [context.get_value_type(one) for one in described.argtypes]
     kind = ir.FunctionType(context.get_value_type(described.restype), kinds)
@@ -181,7 +185,7 @@ def _renamed(context: Any, module: Any, name: str, described: Any) -> None:
 
 
 def _collect(library: Any, found: dict[int, Any]) -> None:
-    """Add a container of code and all those that it refers to, directly or not, to `found`."""
+    """Add a container of code, and all containers that it refers to directly or indirectly, to `found` (by id)."""
     if id(library) not in found:
         found[id(library)] = library
         for one in library._linking_libraries:

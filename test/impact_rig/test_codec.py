@@ -106,7 +106,7 @@ def test_an_inconsistent_message_is_rejected_after_a_valid_one_of_its_length():
     decode(good)
     row_step = len(good) - 1 - scan_table().rows.nbytes - 8
     lie = good[:row_step] + struct.pack("<I", 1) + good[row_step + 4 :]
-    with pytest.raises(CodecError, match="row_step 1"):
+    with pytest.raises(CodecError, match="got 1 and"):
         decode(lie)
 
 
@@ -127,7 +127,7 @@ def test_slices_that_are_not_contiguous_are_encoded_as_their_rows():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        (Table(0, np.zeros(1, [("n", "<i8")])), "column 'n' must be one of int8, .* got int64"),
+        (Table(0, np.zeros(1, [("n", "<i8")])), "type of column 'n' must be one of int8, .* got int64"),
         (Table(0, np.zeros(1, [("n", ">f8")])), "column 'n' must be one of .* got >f8"),
         (Table(0, np.zeros(1, [("n", "S31")])), "column 'n' must be one of"),
         (Table(0, np.zeros(1, [("n", "<f8", 3)])), "column 'n' must be one of"),
@@ -232,27 +232,27 @@ def test_padding_after_the_message_is_ignored(trailing):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"frame": b"daq"}, "frame_id must end with its only NUL"),
-        ({"frame": b"d\0q\0"}, "frame_id must end with its only NUL"),
+        ({"frame": b"daq"}, "frame_id must end with a NUL byte and contain no other"),
+        ({"frame": b"d\0q\0"}, "frame_id must end with a NUL byte and contain no other"),
         ({"frame": b"\xff\0"}, "frame_id is not UTF-8"),
         ({"height": 2}, "height must be 1, got 2"),
-        ({"width": 2**32 - 1}, "must be width [*] point_step = 4294967295 [*] 9"),
+        ({"width": 2**32 - 1}, "must both be width [*] point_step = 4294967295 [*] 9"),
         ({"fields": []}, f"number of fields must be 1 to {MAX_COLUMNS}, got 0"),
         ({"field_count": 2**32 - 1}, "number of fields must be"),
         ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a' twice$"),
         ({"fields": [(b"\0", 0, 8, 1)]}, "unique and not empty, got ''"),
-        ({"fields": [(b"a\0", 0, 9, 1)]}, "datatype of 'a' must be 1 to 8, got 9"),
-        ({"fields": [(b"a\0", 0, 8, 0)]}, "count of 'a' must be 1"),
-        ({"fields": [(b"a\0", 0, 2, 2**32 - 1)]}, "count of 'a' must be 1, or 32 for UINT8"),
-        ({"fields": [(b"a\0", 0, 8, 1), (b"b\0", 7, 2, 1)]}, "'b' at offset 7 overlaps its neighbour, which ends at 8"),
+        ({"fields": [(b"a\0", 0, 9, 1)]}, "datatype of field 'a' must be 1 to 8 [(]INT8 to FLOAT64[)], got 9"),
+        ({"fields": [(b"a\0", 0, 8, 0)]}, "count of field 'a' must be 1"),
+        ({"fields": [(b"a\0", 0, 2, 2**32 - 1)]}, "count of field 'a' must be 1, or 32 for a text"),
+        ({"fields": [(b"a\0", 0, 8, 1), (b"b\0", 7, 2, 1)]}, "'b' at offset 7 overlaps the field before it"),
         ({"fields": [(b"a\0", 2**32 - 1, 8, 1)]}, "point_step must be >= 4294967303"),
         ({"point_step": 8}, "point_step must be >= 9"),
         ({"point_step": 2**32 - 1, "width": 0, "row_step": 0, "data": b""}, "and < 2[*][*]31"),
         ({"big_endian": 1}, "big-endian data"),
-        ({"row_step": 17}, "row_step 17 and length of data 18"),
-        ({"data_length": 2**32 - 1}, "length of data 4294967295"),
+        ({"row_step": 17}, "got 17 and 18$"),
+        ({"data_length": 2**32 - 1}, "got 18 and 4294967295$"),
         ({"width": MANY, "row_step": 9 * MANY, "data_length": 9 * MANY}, f"data needs {9 * MANY} bytes"),
-        ({"trailing": bytes(4)}, "4 bytes follow the end of the message, allowed are 3"),
+        ({"trailing": bytes(4)}, "4 bytes follow the end of the message, at most 3 are allowed"),
     ],
 )
 def test_an_inconsistent_message_is_rejected_with_the_reason(wrong, message):
@@ -362,7 +362,7 @@ def test_a_number_of_members_that_does_not_fit_the_message_is_rejected(count):
     """A definition in a file may state any number of members: none or very many must not raise Python's own errors."""
     message = b"\0\1\0\0" + bytes(12)
     assert plain(message, [("x", "uint8", 12)]) == {"x": (0,) * 12}
-    with pytest.raises(CodecError, match=r"^x "):
+    with pytest.raises(CodecError, match=r"\bx (needs|must)"):
         plain(message, [("x", "uint8", count)])
 
 

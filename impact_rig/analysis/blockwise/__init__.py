@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Analyses of scans block by block: the base class of those with a topic of their own, and tools for plotters.
+"""Analyses of scans block by block: the base class of those that publish a topic, and tools for topics of plotters.
 
 Every module of this folder that defines a `Blockwise` is found automatically. The analysis node feeds it and publishes
 its results (docs/how-to/extending.md).
@@ -62,7 +62,7 @@ PULSES_HZ = 500.0  # corner frequency: 50 times the vibration, a tenth of the ba
 
 @attrs.frozen
 class Interval:
-    """Interval of contiguous scans, for one point of an envelope; `stamp_ns` is the stamp of its first scan."""
+    """Interval of consecutive scans, for one point of an envelope; `stamp_ns` is the stamp of its first scan."""
 
     stamp_ns: int
     rows: NDArray[np.void]
@@ -120,7 +120,10 @@ class Intervals:
         return self._pending.follows(scan)
 
     def feed(self, scan: Table) -> Iterator[Interval]:
-        """Add a block and yield the intervals that it completes; an interval with lost scans is left out."""
+        """Add a block and yield the intervals that it completes.
+
+        Intervals are counted from the first scan after the last gap; one that a gap cuts short is left out.
+        """
         self._pending.add(scan)
         if self._pending.count < self.length:
             return
