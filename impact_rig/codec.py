@@ -357,7 +357,7 @@ def header_stamp_ns(data: Buffer) -> int:
     """Return the header stamp [ns] of any serialised message that starts with `std_msgs/Header`.
 
     Raises:
-        CodecError: `data` is too short or not little-endian CDR, or the nanoseconds of its stamp exceed a second.
+        CodecError: `data` is too short or not little-endian CDR, or the nanoseconds of its stamp are not below 10^9.
     """
     if len(data) < _HEADER.size:
         raise CodecError(f"a message with a header has at least {_HEADER.size} bytes, got {len(data)}")

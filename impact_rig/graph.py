@@ -128,9 +128,9 @@ SERVICES = (
         "~/pause",
         SET_BOOL,
         "rig",
-        "true: pause rig time; answered when the peers have processed all published blocks, or one of them is silent. "
-        "false: continue, without the blocks that a silent peer missed; if there are other peers, without that peer "
-        "until it acknowledges again.",
+        "true: pause rig time; answered when the peers have processed all published blocks, or when one of them is "
+        "silent. false: continue, without waiting for the blocks that a silent peer missed; if there are other peers, "
+        "without waiting for that peer at all until it acknowledges again.",
         _ACTIVE,
     ),
     Input(

@@ -131,7 +131,7 @@ def test_a_table_without_its_columns_is_rejected_by_name(topic: str, rows: np.nd
 @pytest.mark.parametrize(
     ("column", "value", "words"),
     [
-        ("rate", 1e12, "rate must be one positive number of Hz for all channels, at most 1e"),
+        ("rate", 1e12, "rate must be the same in all rows, above 0 and at most 1e"),
         ("since_start", np.nan, "since_start must be within"),
         ("name", b"laser", "none of them twice, got"),
         ("noise", 1e200, "noise must be at most 1e"),

@@ -144,9 +144,11 @@ class Calibration:
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
         """Return the calibration in the rows of a `daq/info` table, which may have any order.
 
+        A channel without a row is not `present`; a figure that is NaN (unknown) becomes 0.
+
         Raises:
-            ConfigError: a channel is missing or given twice, the rates differ or are not positive, a range is empty, a
-                lag order is unknown, or a figure is too large.
+            ConfigError: there is no row of a known channel, or two rows of one channel; or the rates differ or are not
+                positive, a range is empty, a lag order is unknown, or a figure is too large.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         counts = np.array([names.count(channel) for channel in CHANNELS])
@@ -163,7 +165,7 @@ class Calibration:
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ):
             raise ConfigError(
-                f"daq/info: rate must be one positive number of Hz for all channels, at most {MOST_HZ:g}, "
+                f"daq/info: rate must be the same in all rows, above 0 and at most {MOST_HZ:g} Hz, "
                 f"got {ordered['rate'].tolist()}"
             )
         if not np.all(ordered["range_low"] < ordered["range_high"]):

@@ -23,9 +23,9 @@ and its normal matrix follows in closed form from the sample instants:
     Σ_k e^{jnφ_k} = e^{jn(φ_first + φ_last)/2} sin(samples n Ω/2) / sin(n Ω/2)
 
 The sums are taken about the middle of a cycle. The matrix then depends only on the number of its samples, and is
-inverted once for each number. The sums consist of stretches, each about its own middle. A cosine is the same and a sine
-the opposite at equal distances before and after the middle, so sums and differences of two values are multiplied, not
-each value by both.
+inverted once for each number. Scans are added to the sums in stretches, which are groups of up to 64 consecutive scans,
+each taken about its own middle. At equal distances before and after the middle, a cosine is the same and a sine the
+opposite. Therefore only the sum and the difference of two values are multiplied, not each value by cosine and sine.
 
 Cycle m holds the samples k with m·rate/f <= k < (m+1)·rate/f, with k counted from the last change of the drive. Neither
 the cycles nor their bits depend on how the stream was divided into blocks.

@@ -245,7 +245,7 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
 
 
 def resolving_s(resonance: Resonance, window: str) -> float:
-    """Return the shortest segment length [s] with which the `resolution_bias` of a resonance is at most `RESOLVED`."""
+    """Return the shortest segment length [s], to 1 %, at which the `resolution_bias` is not above `RESOLVED`."""
     low, high = 1.0, 1e4  # in decay times
     while high - low > 0.01 * low:
         middle = math.sqrt(low * high)

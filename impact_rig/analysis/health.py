@@ -197,8 +197,8 @@ def amplitudes(
 ) -> Amplitudes:
     """Return the amplitudes of all channels in a measurement, with their uncertainties.
 
-    `true` are the corrected phasors of the cycles by channel, shape (n, H) each; `noise` is the variance per scan in
-    the units of these phasors, squared, shape (4,).
+    `true` are the corrected phasors of the cycles by channel, shape (n, H) each. `noise` are the variances per scan, in
+    the squared units of these phasors, shape (4,).
 
     An acceleration of less than a step of the converter may be read as anything from zero to several times its size.
     The effect of the accelerometer's steps is therefore computed for the acceleration that follows from the laser's
@@ -244,7 +244,7 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 
 
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
-    """Return a rejection if the accelerometer is dead or contradicts the laser; None if impacts and DT are reliable.
+    """Return a rejection if the accelerometer is dead or contradicts the laser; None if not, or if motion is too small.
 
     A dead accelerometer (`accelerometer_unsound`) does not affect DT. If it shows another motion than the laser, either
     of the two may be wrong. If the laser still has the amplitude that it had in `before`, an earlier row of the same
@@ -298,8 +298,9 @@ def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
 def changed_alone(before: Amplitudes, now: Amplitudes) -> Rejection | None:
     """Return a rejection (`implausible`) that names laser or base if that channel alone has changed; else None.
 
-    `before` is an earlier row of the same drive setting. The laser has changed alone if the accelerometer has changed
-    less; the base, if neither laser nor current explains its change.
+    `before` is an earlier row of the same drive setting. The laser has changed alone if its amplitude has changed more
+    than the accelerometer's, beyond noise. The base has changed alone if the changes of laser and current do not
+    explain its change.
     """
     change, noise = _changes(before, now)
     size = np.nan_to_num(np.abs(change), posinf=math.inf)

@@ -34,7 +34,7 @@ from impact_rig.states import Regime
 
 
 def variance_of_mean(values: Real) -> float:
-    """Return the variance of the mean of a stationary series, where values up to n^(1/3) apart may be correlated.
+    """Return the variance of the mean of a stationary series whose values may be correlated up to n^(1/3) lags.
 
         S = γ_0 + 2 Σ_{l<=L} (1 − l/(L+1)) γ_l,   var = S / (n − L − 1),   L = ⌊n^(1/3)⌋
 
@@ -80,8 +80,9 @@ def batch_variance(values: Complex, batches: int) -> Real:
     A batch is one of `batches` parts of the series of equal length. Batches much longer than the correlation are
     practically independent, however the correlation decays (Schmeiser 1982, Operations Research 30, 556–568). If they
     are shorter, the variance V_b from b batches is too small by an error that is proportional to b. 2V_b − V_2b is free
-    of this error (Vats & Flegal 2022, Biometrika 109, 735–750). `student_2u` accounts for the small number of batches.
-    The values have shape (n,), n >= batches >= 2; the result has shape (2,).
+    of this error (Vats & Flegal 2022, Biometrika 109, 735–750). The larger of V_b and 2V_b − V_2b is used. The factor
+    `student_2u` accounts for the small number of batches. The values have shape (n,), n >= batches >= 2; the result has
+    shape (2,).
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse

@@ -329,10 +329,10 @@ def _parts(
 def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
     """Return the contributions to the uncertainty of DT and phase by the steps of laser and base.
 
-    For a pure sine sampled at many phases, only the amplitude changes (`calibration`). Overtones as large as a step
-    rotate the phase of that error by up to its sign. If the n samples fall on only N different drive phases,
-    the errors at these do not average out, and affect amplitude and phase alike. With v from `steps_variance`, their
-    variance is 2 v / N instead of the 2 v / n that the scatter shows.
+    For a pure sine sampled at many phases, the error of rounding changes only the amplitude (`calibration`). Overtones
+    turn a part of this error into an error of the phase, and all of it if they are as large as a step. If the n samples
+    fall on only N different drive phases, the errors at these do not average out, and affect amplitude and phase alike.
+    With v from `steps_variance`, their variance is 2 v / N instead of the 2 v / n that the scatter shows.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)

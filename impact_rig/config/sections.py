@@ -226,7 +226,8 @@ class Daq:
     clock_error_ppm: float = quantity(
         0.0,
         "ppm",
-        "Error of the DAQ clock, > 0: slow. A second of rig time, which is DAQ time, is 1 + error seconds of motion.",
+        "Error of the DAQ clock, > 0: slow. In one second of rig time, which this clock counts, the motion advances by "
+        "1 + error seconds.",
         at_least=-1000,
         at_most=1000,
     )
@@ -247,8 +248,8 @@ class Time:
     factor: float = quantity(1.0, "-", "Speed of realtime as a multiple of real time.", above=0, at_most=1000)
     peers: tuple[str, ...] = names(
         (),
-        "Nodes whose daq/ack of each block the rig waits for in free_running and lockstep; in realtime, scan 0 waits "
-        "until they have subscribed.",
+        "Nodes whose acknowledgement (daq/ack) of each block the rig waits for in free_running and lockstep; in "
+        "realtime, it waits before scan 0 until they have subscribed.",
     )
     ack_window: int = integer(
         16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
@@ -262,7 +263,7 @@ class Time:
     publish_clock: str = choice(
         "auto",
         ("auto", "always", "never"),
-        "Publish /clock; auto: unless in real time x 1.",
+        "Whether to publish /clock; auto: always, except in realtime with factor 1.",
         switched={True: "always", False: "never"},
     )
 
@@ -301,7 +302,7 @@ class Pluck:
 
 @attrs.frozen(kw_only=True)
 class Output:
-    """Publications of the rig node in addition to the scans, its start, and its command timeout."""
+    """Outputs of the rig node in addition to the scans, its automatic start, and the timeout of commands."""
 
     monitor_rate_hz: float = quantity(
         50.0, "Hz", "Message rate of the monitor topics, for plotters, and of truth/joint_states.", above=0, at_most=200

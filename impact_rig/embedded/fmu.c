@@ -119,7 +119,7 @@ static int set(unit *u, const unsigned *reference, size_t count, const double *f
             if (ir_rig_set_gap(u->rig, from[i])) return tell(u, ERROR, SNAPSHOT_GAPS ", got %g m", from[i]);
             u->now.gap = from[i];
             if (ir_rig_time_ns(u->rig) == 0) ir_rig_latest(u->rig, u->now.motion);
-        } else return tell(u, ERROR, "the variable with the value reference %u is no input and no parameter", reference[i]);
+        } else return tell(u, ERROR, "the variable with the value reference %u cannot be set: it is neither an input nor a parameter", reference[i]);
     }
     return OK;
 }
@@ -149,7 +149,7 @@ static int step(unit *u, double from, double length)
         keep_scan(u, scans);
     } else {
         int64_t ticks = (int64_t)whole - ir_rig_tick(u->rig);
-        if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end at a later multiple of 10 ms, got %.9g s", from + length);
+        if (fabs(end - whole) > SAME || ticks < 1) return tell(u, DISCARD, "a step must end at a multiple of 10 ms after the present time, got an end at %.9g s", from + length);
         if (ir_rig_command(u->rig, u->now.frequency, u->now.current)) 
             return tell(u, ERROR, SNAPSHOT_INPUTS ", got %g Hz and %g", u->now.frequency, u->now.current);
         for (int64_t part; ticks > 0; ticks -= part) {
@@ -197,7 +197,7 @@ static size_t size_of(const void *state) { return ((const values *)state)->size;
 
 static int serialise(const unit *u, const void *state, char *to, size_t size)
 {
-    if (size < size_of(state)) return tell(u, ERROR, "the state needs %zu bytes, got room for %zu", size_of(state), size);
+    if (size < size_of(state)) return tell(u, ERROR, "a serialised state needs %zu bytes, got a buffer of %zu bytes", size_of(state), size);
     memcpy(to, state, size_of(state));
     return OK;
 }
@@ -206,7 +206,7 @@ static int deserialise(const unit *u, const char *from, size_t size, void **stat
 {
     size_t held = 0;
     if (size >= sizeof held) memcpy(&held, from, sizeof held); /* bytes have no alignment */
-    if (held < sizeof(values) || size < held) return tell(u, ERROR, "not a state of this unit");
+    if (held < sizeof(values) || size < held) return tell(u, ERROR, "the bytes are not a serialised state of this unit");
     void *room = realloc(*state, held);
     if (!room) return tell(u, ERROR, "no memory");
     *state = room;

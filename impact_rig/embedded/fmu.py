@@ -114,7 +114,7 @@ def _compile(work: Path, kernels: Path) -> str:
     if done.returncode:
         errors = (line for line in done.stderr.splitlines() if "error" in line)
         why = next(errors, f"exit code {done.returncode}")
-        raise ImpactRigError(f"the FMU was not compiled by {compiler()[0]} for the kernels in {kernels}: {why}")
+        raise ImpactRigError(f"the FMU cannot be compiled with the kernels in {kernels} by {compiler()[0]} (CC): {why}")
     machine = made.stdout.partition("-")[0]
     return machine if machine in PLATFORMS["3.0"] else platform.machine()
 

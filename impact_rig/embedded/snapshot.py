@@ -105,7 +105,7 @@ def _check(config: RigConfig) -> None:
 def _name_of(pointer: Any) -> str:
     """Return the name under which the compiled kernels export a force function of a contact law.
 
-    `pointer` holds the address of the function. It is found only if the law belongs to this package.
+    `pointer` holds the address of the function. Only the laws of this package are in the kernels.
 
     Raises:
         ConfigError: this process does not use the compiled kernels, or they do not contain the law.

@@ -169,7 +169,7 @@ static PyObject *called(PyObject *capsule, PyObject *const *arguments, Py_ssize_
     while (i < count && *c.plan)
         if (!piece(&c, arguments[i++])) goto done;
     if (i < count || *c.plan) {
-        PyErr_Format(PyExc_TypeError, "%s: got %zd arguments, which it does not take", c.of->name, count);
+        PyErr_Format(PyExc_TypeError, "%s: wrong number of arguments, got %zd", c.of->name, count);
         goto done;
     }
     uint64_t out[MOST_RESULTS];

@@ -395,8 +395,8 @@ def test_the_log_names_the_value_and_the_range(
                 (1, 1e6, 0.01, "frequency must be >= 5 and <= 200 Hz, current must be >= 0 and <= 21.21 A"),
                 (1, 1e6, 0.01, ", got 1e+06 Hz and 0"),
                 (3, 9.0, 0.01, "gap must be >= 1e-06 and <= 1 m, got 9 m"),
-                (30, 1.0, 0.01, "the variable with the value reference 30 is no input and no parameter"),
-                (1, 9.1, 0.004, "a step must end at a later multiple of 10 ms, got 0.004 s"),
+                (30, 1.0, 0.01, "value reference 30 cannot be set: it is neither an input nor a parameter"),
+                (1, 9.1, 0.004, "a step must end at a multiple of 10 ms after the present time, got an end at 0.004 s"),
             ),
         ),
         (
@@ -440,7 +440,10 @@ def test_an_impossible_unit_is_rejected(changes: dict[str, Any], said: str) -> N
 
 @pytest.mark.parametrize(
     ("compiler", "said"),
-    [("no_compiler", r"needs a C compiler \(.*no_compiler.*name another in CC"), ("false", "by false .*: exit code 1")],
+    [
+        ("no_compiler", r"needs a C compiler \(.*no_compiler.*name another in CC"),
+        ("false", r"by false \(CC\): exit code 1"),
+    ],
 )
 def test_a_compiler_that_fails_is_named(
     compiler: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
