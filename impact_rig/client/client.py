@@ -249,11 +249,12 @@ class AddressedActivation:
                 raise RigGoneError(
                     f"{what}: the rig is gone, and another rig has started: repeat the call to address that one"
                 )
-            silent = self._is_there and self._clock() - max(self._reported_at, since) > silence_s
-            self._is_gone |= silent
+            now = self._clock()
+            self._is_gone |= self._is_there and now - max(self._reported_at, since) > silence_s
             if self._is_gone:
+                quiet_s = now - self._reported_at
                 raise RigGoneError(
-                    f"{what}: the rig is gone: no report from it for {GONE_S:g} s; start a rig and repeat the call"
+                    f"{what}: the rig is gone: no report from it for {quiet_s:.1f} s; start a rig and repeat the call"
                 )
 
         return check

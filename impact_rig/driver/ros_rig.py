@@ -87,7 +87,7 @@ class RosRig(RigDriver):
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
             value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
-        faults: instrument faults to plan, in addition to those of the configuration; ignored for a running rig.
+        faults: instrument faults to plan, in addition to those of the configuration; only for a new rig.
         name: name of the rig in reports and messages.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
@@ -107,7 +107,8 @@ class RosRig(RigDriver):
         processes: the node processes, to stop, kill or suspend one.
 
     Raises:
-        ConfigError: a key is unknown, a value or fault is invalid, or a running rig has other values.
+        ConfigError: a key is unknown, a value or fault is invalid, a running rig has other values, or `faults` or
+            `hosted` is given for one.
         GoneError: a node ended before it was ready; the message quotes the end of its log.
         TimeoutError: a node was not ready in time.
 
@@ -139,7 +140,12 @@ class RosRig(RigDriver):
         hosted: bool = False,
         namespace: str | None = None,
     ) -> None:
-        running, required = namespace is not None, config
+        running, required, faults = namespace is not None, config, list(faults)
+        if running and (faults or hosted):
+            raise ConfigError(
+                f"{'faults' if faults else 'hosted'} is only for a new rig, but namespace={namespace!r} names a running "
+                f"one: leave it out{', and plan each fault with inject' if faults else ''}"
+            )
         base = config if isinstance(config, RigConfig) and not running else RigConfig()
         given = {} if running or isinstance(config, RigConfig) else dict(config or {})
         if not running:

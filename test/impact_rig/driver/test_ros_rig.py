@@ -86,6 +86,12 @@ def rig() -> Iterator[RosRig]:
         yield started
 
 
+@pytest.mark.parametrize(("refused", "given"), [("faults", {"faults": [LOST]}), ("hosted", {"hosted": True})])
+def test_what_only_a_new_rig_can_have_is_refused_for_a_running_one(refused: str, given: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=f"^{refused} is only for a new rig, but namespace='/rig' names a running one"):
+        RosRig(namespace="/rig", **given)
+
+
 def test_a_rig_over_topics_yields_the_samples_of_a_rig_without_ros(rig: RosRig) -> None:
     """Both drivers of one rig give equal samples, so a test may change from one to the other."""
     node = rig.host(Counter)
