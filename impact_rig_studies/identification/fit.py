@@ -492,7 +492,7 @@ class _Profile:
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
-                "the motion with the sphere cannot be simulated at every measured gap, from none of the "
+                "the motion with the sphere cannot be simulated at every measured gap, from any of the "
                 f"{len(starts)} starts of the fit: check sphere and contact law in the configuration of the known rig, "
                 "the gaps, and the measured current"
             )
