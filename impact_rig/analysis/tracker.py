@@ -439,7 +439,7 @@ class Tracker:
         found = self._detector.find(buffer.samples[0, buffer.column(first) : buffer.column(buffer.end)])
         if len(found):
             self._impacts_ahead.append(found)  # reported already
-        self._begin(first, changed=True)
+        self._begin(first)
 
     def _resume(self, index: int) -> None:
         """Start to measure at scan `index`, which does not directly follow the scan before it.
@@ -463,7 +463,7 @@ class Tracker:
         self._measured = index
         self._detector.restart(index)
         self._impacts_ahead.clear()
-        self._begin(index, changed=True)
+        self._begin(index)
         if lost:
             self._enter(AnalysisWord.LOST_SCANS, Status.LOST_BLOCKS, index)
 
@@ -500,7 +500,7 @@ class Tracker:
             case Calibration():
                 self._interrupt(Status.CALIBRATION_CHANGED)
                 self._calibration, self._rate = event, event.rate_hz
-        self._begin(index, changed=True)
+        self._begin(index)
 
     def _enter(self, word: AnalysisWord, reason: str, scan: int) -> None:
         """Set the state from a scan on.
@@ -510,16 +510,14 @@ class Tracker:
         if (word, reason) != (self._state.word, self._state.reason) or (word, reason) == (AnalysisWord.SETTLING, ""):
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
-    def _begin(self, index: int, *, changed: bool) -> None:
-        """Start new cycles and windows at scan `index`, with the present drive, calibration and settings.
+    def _begin(self, index: int) -> None:
+        """Start new cycles and windows at scan `index`, where drive, label or calibration change.
 
-        `changed` states that drive, label or calibration change there, so that `waited` of the rows counts from there.
+        They use the present drive, calibration and settings. The column `waited` of the rows counts from there.
         """
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0
-        if changed:
-            self._changed = index
-        self._origin = self._added = self._due = index
+        self._changed = self._origin = self._added = self._due = index
         at_rest = self._command is None or self._command.current == 0.0
         self._enter(AnalysisWord.AT_REST if at_rest else AnalysisWord.SETTLING, "", index)
         harmonics = usable_harmonics(rate, frequency, self._settings.harmonics)

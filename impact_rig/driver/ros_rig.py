@@ -142,9 +142,9 @@ class RosRig(RigDriver):
     ) -> None:
         running, required, faults = namespace is not None, config, list(faults)
         if running and (faults or hosted):
+            refused, remedy = ("faults", ", and plan each fault with inject") if faults else ("hosted", "")
             raise ConfigError(
-                f"{'faults' if faults else 'hosted'} is only for a new rig, but namespace={namespace!r} names a running "
-                f"one: leave it out{', and plan each fault with inject' if faults else ''}"
+                f"{refused} is only for a new rig, but namespace={namespace!r} names a running one: omit it{remedy}"
             )
         base = config if isinstance(config, RigConfig) and not running else RigConfig()
         given = {} if running or isinstance(config, RigConfig) else dict(config or {})

@@ -30,6 +30,11 @@ function turn() {
   }
 }
 
+/** Show an error on the page. @param {any} error */
+function report(error) {
+  postMessage({ type: "error", text: String(error?.message ?? error) });
+}
+
 /** Reset the rig, simulate some seconds, and return the SHA-256 of the readings, channel after channel. */
 async function digest(seconds) {
   rig.reset();
@@ -51,7 +56,14 @@ const TAKES = {
     module = await WebAssembly.compile(message.module);
     snapshots = message.snapshots;
     await TAKES.rig({ name: Object.keys(snapshots)[0] });
-    setInterval(turn, PERIOD_MS);
+    setInterval(() => {
+      try {
+        turn();
+      } catch (error) { // a motion that cannot be simulated cannot go on either
+        running = false;
+        report(error);
+      }
+    }, PERIOD_MS);
   },
   async rig({ name }) {
     const gap = rig?.gap;
@@ -79,6 +91,6 @@ onmessage = async ({ data }) => {
   try {
     await TAKES[data.type](data);
   } catch (error) {
-    postMessage({ type: "error", text: String(error?.message ?? error) });
+    report(error);
   }
 };

@@ -88,7 +88,7 @@ def rig() -> Iterator[RosRig]:
 
 @pytest.mark.parametrize(("refused", "given"), [("faults", {"faults": [LOST]}), ("hosted", {"hosted": True})])
 def test_what_only_a_new_rig_can_have_is_refused_for_a_running_one(refused: str, given: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match=f"^{refused} is only for a new rig, but namespace='/rig' names a running one"):
+    with pytest.raises(ConfigError, match=f"^{refused} is only for a new rig, but namespace='/rig' names a"):
         RosRig(namespace="/rig", **given)
 
 
