@@ -608,7 +608,7 @@ class Gateway:
         """
         own = self._own
         if own is None:
-            raise Refused("this lab did not start the rig: restart it where it was started")
+            raise Refused("this lab did not start the rig, so it cannot restart it: restart it where it was started")
         ended = [name for name in own.processes.running if own.ended(name)]
         if not ended:
             raise Refused("all processes of this lab are running, so there is none to restart")

@@ -255,7 +255,10 @@ class RunPlayer:
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
     def at(self, page_s: float) -> Instant:
-        """Return the state of the rig at a time of the page [s], by the part of the run whose marks have been read."""
+        """Return parameters, drive and reasons to be stopped at a time of the page [s since scan 0 of the first run].
+
+        They result from the changes that have been read so far; a later time gives the last state that was read.
+        """
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
         changed_ns = 0 if change is None else change.stamp_ns

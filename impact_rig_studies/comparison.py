@@ -118,7 +118,10 @@ def _less(one: np.void, other: np.void, column: str) -> float:
 
 @attrs.frozen(eq=False)
 class Comparison:
-    """Result of `compare`: DT and motion of a measured run, and those of the model with the same drive."""
+    """Result of `compare`: DT and scans of a measured run, and those of the model.
+
+    The model is driven by the measured coil current or base motion, sample by sample.
+    """
 
     driven_by: str  # `current` or `base`
     config: RigConfig  # configuration of the model

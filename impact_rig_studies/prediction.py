@@ -174,7 +174,10 @@ class Manifold:
         return found
 
     def approach_speed(self, theta: Real) -> Real:
-        """Return the sphere's speed relative to the wall before an impact, in units of ω b: 4Θ(1 + μ) / (π(1 + e))."""
+        """Return the sphere's speed relative to the wall before an impact, 4Θ(1 + μ) / (π(1 + e)).
+
+        Its unit is ω b, with b half the gap.
+        """
         found: Real = 4.0 * (1.0 + self.mass_ratio) / (math.pi * (1.0 + self.restitution)) * theta
         return found
 

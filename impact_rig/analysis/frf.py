@@ -127,6 +127,8 @@ def frf(
     """
     if x.shape != y.shape or x.ndim != 1:
         raise ValueError(f"x and y must be one-dimensional and of equal length, got {x.shape} and {y.shape}")
+    if len(x) < 8:
+        raise ValueError(f"x and y must have at least 8 samples, got {len(x)}")
     if not 8 <= segment <= len(x):
         raise ValueError(
             f"segment must be 8 to {len(x)} samples ({8 / rate_hz:g} to {len(x) / rate_hz:g} s), got {segment} "

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.transmissibility import note_on
 from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.options import call
-from impact_rig.cli.parsers import analyses
+from impact_rig.cli.parsers import WINDOWS, analyses
 from impact_rig.cli.terminal import Console, TextTable, counted, figure, tell_json
 from impact_rig.errors import ConfigError
 from impact_rig.recording import Run, open_run
@@ -49,6 +49,9 @@ def run_analyze(arguments: argparse.Namespace) -> int:
     recorded ones of the live analysis, else 0.
     """
     console = Console(quiet=arguments.json)
+    for name in ("segment", "window", "damping"):
+        if getattr(arguments, name) is not None and not arguments.frf:
+            raise ConfigError(f"--{name} has an effect only with --frf: add --frf, or omit --{name}")
     with open_run(arguments.path, arguments.rig) as run:
         for analysis in analyses():
             if getattr(arguments, analysis.name) not in (None, False):
@@ -149,14 +152,15 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
             limit = "a finite number of seconds > 0" if most == math.inf else f"> 0 and < {most:g}"
             raise ConfigError(f"--{name} must be {limit}, got {value!r}")
     prepare_figure(arguments, "frf")
-    found = response_of(run, arguments.segment, arguments.window, arguments.damping)
+    window = arguments.window or WINDOWS[0]
+    found = response_of(run, arguments.segment, window, arguments.damping)
     excited = found.excited
     peak = int(excited[np.argmax(np.abs(found.h1[excited]))])
     resonance = found.resonance
     if arguments.json:
         tell_json({
             "run": str(run.path), "averages": found.averages, "peak_hz": found.frequency_hz[peak],
-            "segment_s": 1.0 / found.frequency_hz[1], "window": arguments.window, "sine": found.sine,
+            "segment_s": 1.0 / found.frequency_hz[1], "window": window, "sine": found.sine,
             "resonance_hz": None if resonance is None else resonance.frequency_hz,
             "damping_ratio": None if resonance is None else resonance.damping_ratio,
             "peak_bias": found.bias if math.isfinite(found.bias) else None,
@@ -196,7 +200,7 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
         )
     else:
         console.print(f"{len(excited)} lines from {low:g} to {high:g} Hz are excited; |H1| is largest at {top:g} Hz")
-        console.print(*_resolution(found, arguments.window, apart), sep="\n")
+        console.print(*_resolution(found, window, apart), sep="\n")
     draw_figure(console, run, arguments, "frf", lambda: frequency_response(found, low - apart, high + apart))
     return 0
 

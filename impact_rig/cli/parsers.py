@@ -104,7 +104,7 @@ def add_info(commands: Commands) -> None:
     parser.add_argument("path", type=Path, metavar="RUN", help="run directory or .mcap file")
 
 
-WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")
+WINDOWS = ("hann", "boxcar", "flattop", "blackmanharris")  # the first is the default
 GROUP = "impact_rig.analyses"
 """Entry points through which packages contribute analyses, each an `Analysis`."""
 
@@ -163,9 +163,8 @@ def add_analyze(commands: Commands) -> None:
     parser.add_argument(
         "--window",
         choices=WINDOWS,
-        default="hann",
         help="window function of the segments of --frf; boxcar is for a drive that repeats every segment (default: "
-        "%(default)s)",
+        f"{WINDOWS[0]})",
     )
     parser.add_argument(
         "--damping",
@@ -245,8 +244,8 @@ def add_replay(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="NODE",
-        help="nodes for whose acknowledgement of each block the replay waits, so that they lose none; required by "
-        "--rate max",
+        help="nodes that acknowledge each block; the replay runs at most 16 blocks ahead of the slowest, so that they "
+        "lose none; required by --rate max",
     )
     parser.add_argument(
         "--topics",

@@ -923,7 +923,8 @@ class Client:
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
         """Wait until a publisher is connected with the subscribers of its topic, including the node `listener`.
 
-        `publish` describes the arguments. A publisher that was connected once is not checked again.
+        It waits at most `timeout_s`; `publish` describes the arguments. A publisher that was connected once is not
+        checked again, also for another `listener`.
         """
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)

@@ -84,7 +84,7 @@ class Tree(Generic[Root]):
         try:
             text = str(content, "utf-8")
         except ValueError as error:
-            raise ConfigError(f"not a YAML file: {' '.join(str(error).split())}") from error
+            raise ConfigError(f"not a YAML file: it must be UTF-8 text, {' '.join(str(error).split())}") from error
         return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:

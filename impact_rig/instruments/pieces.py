@@ -124,9 +124,10 @@ def cut(
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces: Pieces) -> int:
-    """Fill `pieces` with the pieces of its ticks, between the breakpoints (tick, offset); return their number.
+    """Fill `pieces`, whose arrays must have room for them, with the pieces of its ticks, and return their number.
 
-    The arrays must have room for them. `motion_tick` is the number of the first tick in the motion.
+    Pieces are the intervals between the breakpoints (tick, offset), divided and joined as `limits` says. `motion_tick`
+    is the number, counted in the motion, of the first tick of `pieces`.
     """
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick

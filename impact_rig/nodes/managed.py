@@ -488,7 +488,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
-        """Log an exception that was caught in the callback `where`, and show it in diagnostics for five seconds."""
+        """Log an exception of the callback `where` as an error, and show it in diagnostics for 5 s (wall time)."""
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
         self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)

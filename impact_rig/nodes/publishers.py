@@ -282,7 +282,7 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration of the rig and, if changed, its appearance (URDF), even before the rig starts.
+        """Publish the configuration of the rig, and its appearance (URDF) if that has changed, even before it starts.
 
         A recorder waits for the configuration before it begins its run.
         """

@@ -64,7 +64,8 @@ class RigNode(ManagedNode[RigConfig]):
     def configure(self) -> None:
         """Check that the rig can be built, load compiled code, create the publishers, and wait until discovery is over.
 
-        If the lock file shows every other rig of the namespace, there is no need to wait.
+        If the lock file shows every other rig of the namespace, there is no need to wait. Another rig is no error here:
+        once active, the node waits until that rig has ended.
         """
         Rig(self.settings)  # its trial simulation loads the compiled code
         self._session.configure()

@@ -519,7 +519,8 @@ class Session:
         if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
             if since_s < REPEATED_S:
                 raise CommandError(
-                    "the command may have been sent before this rig resumed from a suspension: send it again"
+                    "the command may have been sent before this rig resumed from a suspension: send it again in a few "
+                    "seconds"
                 )
         elif late_s > 0.0:
             raise CommandError(

@@ -185,7 +185,7 @@ def _hold(s: Record, d: float, side: float) -> None:
 
 @kernel
 def _least_speed(p: Record, s: Record) -> float:
-    """Return the least speed, relative to the superior base, with which a sphere parts from that base [m/s].
+    """Return the speed, relative to the superior base, given to a sphere that would part from it more slowly [m/s].
 
     It is `touch_speed`, or the rounding error of the superior base's speed if that is larger.
     """

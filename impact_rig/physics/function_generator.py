@@ -177,7 +177,9 @@ class FunctionGenerator:
         if not (math.isfinite(amplitude) and amplitude >= 0.0):
             raise CommandError(f"amplitude must be finite and >= 0, got {amplitude!r}")
         if self.stream is not None and amplitude > 0.0:
-            raise CommandError(f"amplitude of a stream must be 0, which stops it, got {amplitude!r}")
+            raise CommandError(
+                f"amplitude of a stream must be 0, which stops it (its samples set the amplitude), got {amplitude!r}"
+            )
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:

@@ -516,10 +516,12 @@ class Run:
             del pending[:cut]
 
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
-        """Raise an error if the chunks that must be in memory at the same time are too large.
+        """Raise an error if the segments that must be in memory at the same time are too large.
 
-        Messages are yielded by log time, so a chunk stays in memory until its latest message has been yielded. In a
-        hostile recording, each chunk has one message that is much later than its others.
+        A segment is a chunk, or a part of a file without chunks.
+
+        Messages are yielded by log time, so a segment stays in memory until its latest message has been yielded. In a
+        hostile recording, each segment has one message that is much later than its others.
 
         Args:
             pending: messages that have been read but not yielded.
@@ -527,7 +529,8 @@ class Run:
             coming: segments that are read next.
 
         Raises:
-            BudgetError: the decompressed segments of both kinds, with the messages, exceed `budget.HELD_BYTES`.
+            BudgetError: the decompressed segments of the pending messages and those in `coming`, and the messages
+                themselves, exceed `budget.HELD_BYTES`.
         """
         held = [*(recorded[number] for number in {item[1] for item in pending}), *coming]
         size = _size(*held) + budget.MESSAGE_BYTES * len(pending)

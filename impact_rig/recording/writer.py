@@ -589,7 +589,7 @@ def make_room(directory: Path) -> None:
     except FileExistsError as error:
         raise RecordingError(f"{directory} is a file, not a directory to record into") from error
     except OSError as error:
-        raise RecordingError(f"cannot create the run directory {directory}: {error.strerror}") from error
+        raise RecordingError(f"cannot use the run directory {directory}: {error.strerror}") from error
     for name in present:
         if name.endswith((".mcap", f".mcap{TAIL_SUFFIX}")) or name == description.METADATA_FILE:
             raise RecordingError(

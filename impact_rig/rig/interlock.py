@@ -56,11 +56,11 @@ class Trip:
     """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun.
 
     Attributes:
-        tick: number of the 10 ms tick in which the limit was exceeded, from 0 for the first tick of the checked motion;
-            0 for an underrun.
+        tick: number of the 10 ms tick in which it tripped, from 0 for the first tick of the checked motion; 0 for an
+            underrun.
         reason: `over_travel`, `over_current` or `underrun` (a sample of a stream did not arrive in time).
-        measured: travel [m], current [A rms], or number of the missing sample.
-        limit: limit of travel [m] or current [A rms]; 0 for an underrun.
+        measured: travel [m], current [A rms, averaged over about 1 s], or number of the missing sample.
+        limit: limit of travel [m], or of the current [A rms], which it exceeded by more than 5 %; 0 for an underrun.
     """
 
     tick: int

@@ -478,10 +478,10 @@ def _number(cdr: bytes | memoryview) -> float:
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
-    """Compare the impacts that both analyses detected between the two scan indexes of `span`, inclusive.
+    """Compare the impacts of both analyses, live and offline, between the two scan indexes of `span`, inclusive.
 
-    Both analyses have received all scans of the span. Peaks are compared within `TOLERANCE`, because the state of the
-    filter depends on the scan at which each analysis began.
+    An impact that only one of them found is a difference. Both analyses have received all scans of the span. Peaks are
+    compared within `TOLERANCE`, because the state of the filter depends on the scan at which each analysis began.
     """
     name = topics.IMPACTS.name
     if not run.holds(topics.IMPACTS):

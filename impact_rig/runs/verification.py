@@ -465,9 +465,10 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no recorded message of this journal is left, because the next one belongs to a later rig.
+        """Return whether no recorded message of this rig is left.
 
-        It is also True if no message is left at all.
+        Either there is none at all, or the rig was restarted after this journal and the next stamp goes back. A reset
+        does not count, because stamps continue across it.
         """
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 

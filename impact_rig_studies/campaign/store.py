@@ -292,7 +292,7 @@ def _column(member: bytes) -> NDArray[np.generic]:
         (2, 0): np.lib.format.read_array_header_2_0,
     }.get(version)
     if header is None:
-        raise ValueError(f"array format {version} is unknown")
+        raise ValueError(f"version {version} of the NPY format is unknown; 1.0 and 2.0 can be read")
     shape, _, dtype = header(file)
     rest = len(member) - file.tell()
     if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:

@@ -63,6 +63,10 @@ def run_identify(arguments: argparse.Namespace) -> int:
     """
     console = Console(quiet=arguments.json)
     if arguments.paper:
+        if arguments.directory is not None:
+            raise ConfigError(
+                f"--paper fits the paper's reductions of DT and takes no directory: omit {arguments.directory}"
+            )
         base = load_config(arguments.config) if arguments.config else RigConfig()
         fits = []
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):

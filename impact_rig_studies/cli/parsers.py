@@ -722,7 +722,9 @@ def add_identify(commands: Commands) -> None:
         help="standard uncertainty of the configured restitution e, 0 if e is exact (default: %(default)g)",
     )
     parser.add_argument(
-        "--paper", action="store_true", help="fit constants to the reductions in the paper instead of to a campaign"
+        "--paper",
+        action="store_true",
+        help="fit constants to the paper's reductions of DT instead of to a campaign, without DIR",
     )
     add_config(parser, "configuration with the known constants, with --paper (default: the paper's rig)")
 

@@ -570,7 +570,7 @@ def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) 
         raise SimulationError(f"the motion is {reading.regime}")
     one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
     if one is None:
-        raise SimulationError("Newton's method finds no orbit near the settled motion")
+        raise SimulationError("the motion repeats, but Newton's method does not converge to an orbit near it")
     return strobe, one
 
 

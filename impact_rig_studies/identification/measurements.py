@@ -194,7 +194,10 @@ def _counted(point: Point) -> bool:
 
 
 def _noise(point: Point, gains: Gains) -> float:
-    """Return the relative standard uncertainty of the DT of a point due to noise alone, at least `LEAST_NOISE`."""
+    """Return the relative standard uncertainty of the DT of a point, at least `LEAST_NOISE`.
+
+    The part that the sensitivities (`gains`) contribute is left out.
+    """
     return max(repeatability(point.rows, gains.calibration), LEAST_NOISE)
 
 

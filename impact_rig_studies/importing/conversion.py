@@ -167,7 +167,7 @@ def convert(
 
 
 def _no_signal(source: ImportedSignals, name: str, purpose: str) -> ConfigError:
-    """Return the error that a file has no signal of this name; `purpose` is a channel, `frequency` or `gap`."""
+    """Return the error that a file has no signal `name`; `purpose` is `frequency`, `gap` or a channel like `laser`."""
     there = f"there are {', '.join(source.signals)[:300]}" if source.signals else "it has none"
     hint = did_you_mean(name, source.signals, "did you mean {!r}?", there)
     if name in source.left_out:
@@ -323,7 +323,8 @@ def _calibration(
         if not rows["range_low"][place] < rows["range_high"][place]:
             low, high = rows["range_low"][place], rows["range_high"][place]
             raise ConfigError(
-                f"calibration of the channel {name}: range_low must be < range_high, got {low:g} and {high:g}"
+                f"calibration of the channel {name} in the mapping or its table: range_low must be < range_high, "
+                f"got {low:g} and {high:g}"
             )
     rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
     return rows, estimated

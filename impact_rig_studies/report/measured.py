@@ -106,7 +106,7 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 
 
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
-    """Return the content of the report of a run; `rig` is the namespace of the rig in a run with several rigs.
+    """Return the content of the report of a run; `rig` is a namespace, needed only if the run has several rigs.
 
     Raises:
         RecordingError: the run cannot be read or analysed.

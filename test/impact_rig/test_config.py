@@ -189,7 +189,7 @@ def test_sections_are_immutable():
         ("a: [", "not a YAML file"),
         ("a: 2024-13-99", "not a YAML file: month must be in 1..12 (PATH)"),
         ("a: !!python/object/apply:os.system ['true']", "not a YAML file"),
-        (b"\xff\xfe\x00", "not a YAML file"),
+        (b"\xff\xfe\x00", "not a YAML file: it must be UTF-8 text"),
         ("? [a, b]\n: 1", "not a YAML file"),
         ("[" * 3000, "not a YAML file"),
         ("barriers: " * 50, "not a YAML file"),

@@ -509,6 +509,11 @@ def test_an_unfinished_fit_to_the_paper_reports_the_reductions_of_its_constants(
     assert percent == pytest.approx(100.0 * (1.0 - np.exp(motion.log_ratio)), abs=1e-6)
 
 
+def test_the_fit_to_the_paper_takes_no_campaign(capsys):
+    assert main(["identify", "runs/campaign", "--paper"]) == 1
+    assert "--paper fits the paper's reductions of DT and takes no directory" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
     """As docs/how-to/identification.md says, f_n and ζ follow from the five reductions, but the current does not."""

@@ -129,7 +129,7 @@ class WaltonBraun(ContactLaw):
     """Elastoplastic contact law, two straight lines without damping, with restitution e and contact time t_c [s]."""
 
     name = "walton_braun"
-    formula = "loading along k_1 δ, unloading along k_1/e² (δ − δ_p), no damping"
+    formula = "loading along k δ, unloading along k/e² (δ − δ_p), no damping"
     source = "Walton & Braun (1986), J. Rheology 30, 949–980"
     returns = 0.350
     contact_time_s: float = contact_time_s()

@@ -214,6 +214,7 @@ def test_resolution_follows_the_window():
     ("x", "y", "segment", "message"),
     [
         (np.ones(100), np.ones(99), 50, "equal length"),
+        (np.arange(5.0), np.arange(5.0), 8, "at least 8 samples, got 5"),
         (np.arange(100.0), np.arange(100.0), 101, "segment must be 8 to 100"),
         (np.arange(100.0), np.arange(100.0), 0, "segment must be 8 to 100"),
         (np.arange(100.0), np.full(100, np.nan), 50, "finite"),

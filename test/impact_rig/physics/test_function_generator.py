@@ -181,7 +181,7 @@ def test_an_impossible_amplitude_is_rejected(wrong):
 
 def test_a_stream_accepts_no_amplitude_but_zero():
     made = generator(waveform="stream")
-    with pytest.raises(CommandError, match=r"amplitude of a stream must be 0, which stops it, got 0\.1"):
+    with pytest.raises(CommandError, match=r"amplitude of a stream must be 0, which stops it .*, got 0\.1"):
         made.set_amplitude(0.1)
     made.set_amplitude(0.0)
     assert made.target_amplitude == 0.0

@@ -68,14 +68,14 @@ def test_a_file_in_place_of_the_directory_is_reported(record, tmp_path, where):
     """This fails for root as well, unlike a directory without write permission."""
     (tmp_path / "file").write_text("mine")
     with pytest.raises(
-        RecordingError, match=r"is a file, not a directory|cannot create the run directory .*: Not a directory"
+        RecordingError, match=r"is a file, not a directory|cannot use the run directory .*: Not a directory"
     ):
         record(where)
     assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_directory_that_cannot_be_created_is_reported(record):
-    with pytest.raises(RecordingError, match="cannot create the run directory /proc/self/run"):
+    with pytest.raises(RecordingError, match="cannot use the run directory /proc/self/run"):
         record("/proc/self/run")
 
 

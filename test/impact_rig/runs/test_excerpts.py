@@ -122,6 +122,14 @@ def test_an_impossible_segment_length_is_rejected(
     assert words in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.parametrize("option", [["--segment", "20"], ["--window", "hann"], ["--damping", "0.01"]])
+def test_an_option_of_the_frequency_response_is_rejected_without_it(
+    swept: Path, option: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["analyze", str(swept), *option]) == 1
+    assert f"{option[0]} has an effect only with --frf" in capsys.readouterr().err.replace("\n", " ")
+
+
 def test_a_rig_at_rest_has_no_frequency_response(tmp_path: Path) -> None:
     rig = LocalRig({**SLOW_RIG, "daq.block_scans": 1000})
     rig.run(seconds=40.0)
