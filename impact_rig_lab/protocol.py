@@ -155,7 +155,7 @@ def frequencies(name: str, value: object) -> tuple[float, ...]:
         RequestError: the value is not a list of 1 to `MOST_FREQUENCIES` numbers within 0.001 and 10000 Hz.
     """
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
-        raise RequestError(f"{name} must be a list of 1 to {MOST_FREQUENCIES} numbers in Hz, got {_short(value)}")
+        raise RequestError(f"{name} must be a list with 1 to {MOST_FREQUENCIES} frequencies in Hz, got {_short(value)}")
     return tuple(number(1e-3, 1e4)(name, one) for one in value)
 
 
@@ -279,7 +279,7 @@ def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> byt
 
 
 def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes:
-    """Return a frame with rows of numbers, the first of which is the time [s since scan 0].
+    """Return a frame with rows of numbers; each row begins with the time [s since scan 0].
 
     Args:
         kind: MOTION, IMPACTS or DETECTED.

@@ -183,10 +183,11 @@ class MotionBuffer:
 
 
 class RigHistory:
-    """History of a rig: journal, faults and remarks as lines of text for the page, and its state at any past time.
+    """History of a rig: journal, faults and remarks as lines of text for the page, and its state at past times.
 
     Args:
-        most: number of journal entries kept for past states; None means that all entries and all lines are kept.
+        most: number of newest journal entries kept, from which past states are derived: what only older entries set
+            then has its default. None means that all entries and all lines are kept.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:

@@ -238,7 +238,7 @@ class PageSession:
         The last frame is the TRACE, which the page acknowledges when it has drawn the picture.
 
         Args:
-            now: present time (`time.monotonic`).
+            now: present time (`time.monotonic`), which decides whether a spectrum is due.
         """
         source, record, view = self._source, self._source.record, self._view
         with record.lock:

@@ -255,7 +255,9 @@ class _ModelledScans:
             self.true[name] = samples_of(measured, name)
         wrong = next((name for name in CHANNELS if not np.all(np.isfinite(self.true[name]))), None)
         if wrong is not None:
-            raise RecordingError(f"{run.path}: a reading of {wrong} is not finite, so the run cannot be compared")
+            raise RecordingError(
+                f"{run.path}: the channel {wrong} has a reading that is not finite, so the run cannot be compared"
+            )
         self.stretches = list(self._stretches(run))
         for stretch in self.stretches:
             for channel in (LASER, BASE, CURRENT):
@@ -430,7 +432,7 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap [m] of each measurement, or the gap of the model for a measurement without a label."""
+    """Return the gap [m] of each measurement, as its label states, otherwise that of the model (0: no sphere)."""
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
 

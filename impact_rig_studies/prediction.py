@@ -440,8 +440,8 @@ def branch(
 ) -> Branch:
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
-    The motions are in the order of increasing Θ, from the fold on. Exactly one of `current_a`, `base_m` and
-    `superior_m` must be given: it is held constant along the branch.
+    The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Exactly
+    one of `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
 
     Args:
         config: the rig; its own gap is ignored.
@@ -513,7 +513,8 @@ def curves(
 def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Branch:
     """Return the motions at resonance (the superior base a quarter cycle behind the inferior base) at one gap.
 
-    The amplitude grows along the branch, from the fold on. Each motion has its own frequency, current and DT.
+    The amplitude grows along the branch, from the fold on. Each motion has its own frequency, current and
+    displacement transmissibility (DT). `recoil` is that of `branch`.
 
     Raises:
         ConfigError: as for `branch`.

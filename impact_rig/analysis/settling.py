@@ -173,7 +173,10 @@ class Progress:
 
     @property
     def reason(self) -> str:
-        """Sentence for users that says how long a sphere may still delay the row; empty if no sphere delays it."""
+        """Sentence for users with the time without impacts up to which the row is delayed; empty if it is not delayed.
+
+        The time counts from the last impact [s]. Until it is over, a sphere may still strike.
+        """
         if not self.quiet.is_waiting:
             return ""
         return f"waiting up to {self.quiet.bound_s:.3g} s for a sphere that may still strike"

@@ -53,8 +53,9 @@ def variance_of_mean(values: Real) -> float:
 def student_factor(n: int) -> float:
     """Return the factor ν/(ν − 2) by which to multiply a variance that `variance_of_mean` estimated from n values.
 
-    The estimate has ν = 3n / (2(L + 1)) degrees of freedom. The mean therefore has Student's t distribution, whose
-    variance is larger than that of the normal distribution by this factor (GUM Supplement 1, 6.4.9).
+    The estimate has ν = 3n / (2(L + 1)) degrees of freedom, L its longest lag, but at least 3. The mean
+    therefore has Student's t distribution, whose variance is larger than that of the normal distribution by this factor
+    (GUM Supplement 1, 6.4.9).
     """
     freedom = max(1.5 * n / (_longest_lag(n) + 1.0), 3.0)
     return freedom / (freedom - 2.0)

@@ -53,7 +53,8 @@ _AREA = 0.00492867323399  # of each layer, under exp(-x²/2)
 def _ziggurat() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the right end of each layer of the ziggurat, the lowest first, and the density there.
 
-    Both have the shape (_LAYERS + 1,). The density is exp(−x²/2), without a factor.
+    Both have the shape (_LAYERS + 1,). The density is exp(−x²/2), without a factor. Entry 0 is the width of a rectangle
+    with the area of the lowest layer and its tail, and has the density 0.
     """
     plain_exp, plain_log = getattr(exp, "py_func", exp), getattr(log, "py_func", log)  # importing compiles nothing
     ends, density = np.zeros(_LAYERS + 1), np.ones(_LAYERS + 1)

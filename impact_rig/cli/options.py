@@ -73,9 +73,9 @@ def subcommand(
     return parser
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--json`, with which a command prints its results as JSON."""
-    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of text")
+def add_json(parser: argparse.ArgumentParser, what: str = "print the results as JSON instead of text") -> None:
+    """Add the option `--json`, with which a command prints its results as JSON; `what` is its help text."""
+    parser.add_argument("--json", action="store_true", help=what)
 
 
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:
@@ -84,7 +84,10 @@ def add_output(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options `--figures`, the directory of figures, with help text `what`, and `--format`, their formats."""
+    """Add the options `--figures`, the directory of figures (None if not given), and `--format`, their formats (all).
+
+    `what` is the help text of `--figures`.
+    """
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
         "--format",

@@ -80,7 +80,7 @@ def add_record(commands: Commands) -> None:
         "--scan-rate",
         type=int,
         metavar="HZ",
-        help="scans per second, in blocks of 10 ms (default: as configured; not for a running rig)",
+        help="scans per second, in blocks of about 10 ms (default: as configured; not for a running rig)",
     )
     add_rig(parser)
     add_output(parser, "new or empty directory of the run (default: runs/record_<time>)")
@@ -447,7 +447,9 @@ def add_interface(commands: Commands) -> None:
         "Exit code 1 if a change breaks clients of the earlier version, or FILE cannot be read; "
         "docs/reference/interface.md lists the kinds of such changes.",
     )
-    add_json(parser)
+    add_json(
+        parser, "print all of it as JSON, with columns, ranges and defaults, instead of a table of names and types"
+    )
     parser.add_argument(
         "--against",
         type=Path,

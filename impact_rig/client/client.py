@@ -519,7 +519,8 @@ class Client:
     def acknowledge_callbacks(self, node: Any) -> int:
         """Acknowledge every block of daq/scan on behalf of a hosted node, once its callback has returned or raised.
 
-        The node itself needs no knowledge of daq/ack.
+        A node with several subscriptions to it acknowledges after each callback. The node itself needs no knowledge of
+        daq/ack.
 
         Args:
             node: a node from `host`.

@@ -149,7 +149,7 @@ class Service:
 
     @_served
     def IsTaskDone(self, request: Any, context: Any) -> dict[str, Any]:
-        """Return whether a task is neither running nor waiting for its trigger; an error that ended it is reported."""
+        """Return whether a task is neither running nor waiting for its trigger; fail if an error ended the task."""
         return {"is_task_done": self.board.is_done(self._task(request))}
 
     @_served

@@ -500,7 +500,7 @@ class RigDriver(abc.ABC):
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans (`instruments.faults.planned`)."""
+        """Instrument faults that the configuration plans (`instruments.faults.planned`), and those injected later."""
         return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports

@@ -353,7 +353,8 @@ class LocalRig(RigDriver):
     def _publish_changes(self) -> None:
         """Publish what has changed since the last call: journal entries, applied commands and the calibration.
 
-        To publish means here to keep it for `tables`, to record it, and to pass it to the analysis.
+        To publish means here to keep it for `tables` and to record it. Commands and calibration are also passed to the
+        analysis.
         """
         entries = self.core.take_journal()
         if entries and (encoded := codec.encode(self.core.info())) != self._info:

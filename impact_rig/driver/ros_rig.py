@@ -642,7 +642,7 @@ class RosRig(RigDriver):
         directory, run = Path(directory), self._run
         if run is None:
             raise RecordingError(
-                "there is no recording to save: start the rig with `record`, and call `save` only once"
+                "there is no recording to save: start the rig with `record`, and save it once, before `stop_recording`"
             )
         try:
             self.stop_recording()

@@ -163,7 +163,7 @@ def fault_line(kind: str, channel: str, **numbers: float) -> str:
 
 @attrs.frozen(kw_only=True)
 class FaultPlan:
-    """Section `instruments.faults` of a configuration: faults that begin by themselves at a time; none by default."""
+    """Section `instruments.faults` of a configuration: faults that begin at planned times; none by default."""
 
     planned: tuple[str, ...] = names(
         (),

@@ -63,7 +63,7 @@ class Library(AOTCodeLibrary):  # type: ignore[misc]  # Numba is untyped
 
 
 class Context(cpu.CPUContext):  # type: ignore[misc]
-    """Numba's compilation target without loading any compiled code into this process."""
+    """Numba's compilation target, except that functions compiled for it are not loaded into this process."""
 
     def get_executable(self, _library: Any, _fndesc: Any, _environment: Any) -> Any:
         """Return a unique object instead of an executable function; Numba uses it as the key of the function's code."""

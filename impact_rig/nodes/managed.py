@@ -202,7 +202,9 @@ def worst(*statuses: tuple[Level, str]) -> tuple[Level, str]:
 
 
 class ManagedNode(LifecycleNode, Generic[S]):
-    """Lifecycle node with guarded callbacks, validated parameters and diagnostics.
+    """Lifecycle node with validated parameters and diagnostics, which continues after an exception in a callback.
+
+    The exception is logged and shown in diagnostics. A lifecycle transition that raises one fails.
 
     Args:
         name: node name.

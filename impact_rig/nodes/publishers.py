@@ -317,7 +317,10 @@ class Publishers:
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether the blocks that may be unacknowledged can have more messages than `QUEUE`; never in real time."""
+    """Return whether the blocks that may be unacknowledged can contain more messages than a subscriber's queue holds.
+
+    That is `QUEUE`. It is False in real time, where the rig does not wait for acknowledgements.
+    """
     if config.time.mode == "realtime":
         return False
     blocks = config.time.ack_window

@@ -183,7 +183,9 @@ class Motion:
         """
         turns = self.segments["duration"] * self.segments["omega"]
         if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
-            raise ValueError("for cycles, each tick must be a single segment of one complete cycle of the drive")
+            raise ValueError(
+                "cycles() needs a motion whose ticks are each a single segment of one complete cycle of the drive"
+            )
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
         follow_cycles(self._model, self._trajectory, self._sampling.flight, out)
         found: NDArray[np.void] = out.view(CYCLE)[:, 0]

@@ -181,7 +181,7 @@ class Stream:
         return twin
 
     def time_ns(self, sample: int) -> int:
-        """Return the time of a sample since scan 0 [ns]."""
+        """Return the time of a sample after scan 0 [ns]; samples are numbered from scan 0, even before the stream."""
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:

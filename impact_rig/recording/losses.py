@@ -111,7 +111,10 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the sorted names of all publishers seen on a topic; an empty list unless several sent messages."""
+        """Return the sorted names of the publishers that the graph showed on a topic, also of silent ones.
+
+        The list is empty unless messages of several publishers arrived.
+        """
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
@@ -164,7 +167,9 @@ def _stream(entry: dict[str, object]) -> PublisherStream:
     if not isinstance(stream.publisher, str) or any(
         type(number) is not int or number < 0 for number in (stream.first, stream.newest, stream.received, stream.lost)
     ):
-        raise ValueError(f"{entry} does not hold the counts of a publisher's messages")
+        raise ValueError(
+            f"{entry} is not a valid count of a publisher's messages (publisher, first, newest, received, lost)"
+        )
     return stream
 
 

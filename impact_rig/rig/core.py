@@ -364,10 +364,10 @@ class Rig:
             self._simulate(min(needed - self._ticks, BATCH_TICKS))
 
     def _simulate(self, ticks: int) -> None:
-        """Simulate at most `ticks` ticks, but none beyond the next change of the drive or of the clock.
+        """Simulate at most `ticks` ticks, up to the next change of the drive or of the clock, and apply that change.
 
-        Such a change is the first of these: the interlock trips, the command timeout passes, an event of the stream
-        occurs, or a fault changes the rate of the scan clock.
+        The caller calls again for the remaining ticks. Such a change is the first of these: the interlock trips, the
+        command timeout passes, an event of the stream occurs, or a fault changes the rate of the scan clock.
         """
         self._time_out_if_due()  # immediately, if the timeout was shortened
         due = self._timeout_tick()
@@ -711,7 +711,9 @@ class Rig:
         if self._latched is not None:
             raise CommandError(self._why_latched())
         if self.plucked:
-            raise CommandError("the base is locked after a pluck: call ~/reset (in Python Rig.reset) first")
+            raise CommandError(
+                "the inferior base is locked after a pluck, a free decay: call ~/reset (in Python Rig.reset) first"
+            )
 
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:
         if self.plucked:

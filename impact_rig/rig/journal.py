@@ -43,7 +43,7 @@ SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # affects samples, al
 
 
 class InputKind(Word):
-    """Kind of a journal entry; `doc` is the meaning of the entry's other members."""
+    """Kind of a journal entry, such as a command, a reset or a fault; `doc` is the meaning of its other members."""
 
     START = "start", "Scan 0 of a new rig; text = version of impact_rig, values = what differs from the default rig."
     RESET = "reset", "Scan 0 of the same rig after a reset; text and values as for `start`."
@@ -136,9 +136,13 @@ class JournalEntry:
         try:
             content = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise ConfigError(f"a journal entry must be JSON, got {line[:60]!r}") from error
+            raise ConfigError(
+                f"an entry of the journal of inputs (`rig/journal`) must be JSON, got {line[:60]!r}"
+            ) from error
         if not isinstance(content, dict):
-            raise ConfigError(f"a journal entry must be a JSON object, got {line[:60]!r}")
+            raise ConfigError(
+                f"an entry of the journal of inputs (`rig/journal`) must be a JSON object, got {line[:60]!r}"
+            )
         unknown = content.keys() - _MEMBERS.keys()
         if unknown:
             raise ConfigError(f"journal entry with unknown member {min(unknown)!r}, known are {', '.join(_MEMBERS)}")

@@ -103,7 +103,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
         where = "of its last settled measurement" if settled else "at its end"
         raise RecordingError(
             f"{run.path}: the {np.count_nonzero(within)} contiguous scans {where} are too few to draw or fit; at least "
-            f"{FEWEST_DRAWN} are needed"
+            f"{FEWEST_DRAWN} are needed: record a longer run without lost scans"
         )
     rows = rows[within]
     impacts = [_joined(one.impacts, origin_ns)["time"] for one in found[first : last + 1] if one.impacts]
@@ -230,7 +230,7 @@ def need_motions(run: Run, rows: NDArray[np.void]) -> None:
 
 @attrs.frozen(eq=False)
 class Sines:
-    """Sines of one frequency, fitted to all channels of an excerpt."""
+    """Sines fitted to all channels of an excerpt, at one frequency, which is fitted to a reference channel."""
 
     reference: SineFit
     """Fit of the reference channel, including its frequency, which all other fits use.

@@ -116,7 +116,9 @@ class Golden:
             or not np.isclose(numbers[name], expected[name], rel, abs, equal_nan=True)
         ]
         if wrong:
-            raise AssertionError(f"different from {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}; {_RENEW}")
+            raise AssertionError(
+                f"values unlike the golden ones in {where} (rel {rel:g}, abs {abs:g}): {'; '.join(wrong)}; {_RENEW}"
+            )
 
     def _absent(self, where: Path) -> str:
         return f"there is no {where} yet: run pytest once with {UPDATE_OPTION}, check the result, and keep it"

@@ -121,7 +121,9 @@ def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]
         with contextlib.closing(runner([_job(config, gap_m) for gap_m in RUNS])) as done:
             for job, outcome in done:
                 if outcome.failure:
-                    raise ImpactRigError(f"{case_of(job.gap_m)}: {outcome.failure}")
+                    raise ImpactRigError(
+                        f"{case_of(job.gap_m)}: {outcome.failure}: repeat the demo, into another directory"
+                    )
                 rows[job.gap_m] = outcome.rows
         screen.done()
     return rows

@@ -453,7 +453,7 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
 
 
 def named(start: object) -> str:
-    """Return a start of the sphere as text, such as "left" or "0.001 m at 0 m/s"."""
+    """Return a start of the sphere, a word of `STARTS` or (position [m], speed [m/s]), as text: "0.001 m at 0 m/s"."""
     return start if isinstance(start, str) else "{:g} m at {:g} m/s".format(*start)  # type: ignore[misc]  # a pair
 
 

@@ -392,8 +392,8 @@ class Stroboscope:
     def _whole(self, z: Real, place: Place) -> Real:
         """Convert the coordinates z to the seven SI state values for `Simulation.set_state`.
 
-        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive,
-        position and velocity of a sphere without impacts from its resting position.
+        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive;
+        of a sphere without impacts the resting position, and also the velocity if the guide has no friction.
         """
         state = np.zeros(7)
         state[self._free] = z * self.scale

@@ -129,7 +129,7 @@ def history(
         unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
             states, or else `wanted`. It is ignored for a run, whose values are in SI units.
         scale: factor by which the values are multiplied.
-        file_hz: number of samples per second of a file that states neither times nor a rate; ignored otherwise.
+        file_hz: number of samples per second of a file that states neither times nor a rate; rejected otherwise.
 
     Returns:
         The samples, shape (n,).
@@ -195,9 +195,12 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     rate = one.rate_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
         rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
+    if rate is not None and file_hz is not None:
+        raise ConfigError(f"{path}: the file states {rate:g} samples per second: omit --file-rate")
     rate = rate or file_hz
     if rate is None or not rate > 0.0:
         raise ConfigError(
-            f"{path}: the file states neither times nor a rate: add its samples per second with --file-rate HZ"
+            f"{path}: the file states neither times nor a rate, so it cannot be played: add its samples "
+            "per second with --file-rate HZ"
         )
     return one.values, rate, unit or one.unit

@@ -87,7 +87,7 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """Result of random control after a loop: requested and reached spectra, and properties of the signals.
+    """Result of random control after a loop: spectra requested and reached, rms, clipping, coherence, kurtosis.
 
     Densities are in unit of the response² / Hz.
     """

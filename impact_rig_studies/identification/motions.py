@@ -60,7 +60,7 @@ class SettledMotion(NamedTuple):
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion repeats exactly, so that it has no uncertainty and its derivatives are smooth."""
+        """Return whether the motion repeats exactly: it has no uncertainty and depends smoothly on the constants."""
         return self.regime == Regime.PERIODIC.value and not self.u
 
 

@@ -96,8 +96,8 @@ def aligned(
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
         raise ConfigError(
-            f"{path}: the signals of {', '.join(times)} have fewer than {FEWEST} times in common; leave one out "
-            "(--channel NAME=)"
+            f"{path}: the signals of {', '.join(times)} have fewer than {FEWEST} times in common; leave one "
+            "of these channels out (--channel NAME=)"
         )
     there = {name: _spline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there

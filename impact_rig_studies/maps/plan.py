@@ -179,7 +179,7 @@ class MapPlan:
 
     @property
     def points(self) -> int:
-        """Number of measured points: grid points times layers."""
+        """Number of measured points: grid points times `layers` (directions, or starts of the sphere)."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     @functools.cached_property

@@ -64,7 +64,8 @@ MIN_CYCLES = 2  # smallest number of drive cycles in a sample
 class Sample(NamedTuple):
     """Sample of the motion: complex amplitudes at the drive frequency, from the consecutive scans of some cycles.
 
-    The phases of all amplitudes have the same, arbitrary origin, so that only their differences are meaningful.
+    All phases of a sample have the same origin, which is arbitrary and differs between samples, so that only their
+    differences are meaningful.
     """
 
     end_ns: int  # rig time of the end of its scans

@@ -44,7 +44,7 @@ from impact_rig_studies.operate.plans import Hold, HoldPlan, SweepPlan
 
 @attrs.frozen
 class Setpoint:
-    """Frequency and current to which a sweep or phase lock requests the drive to be set."""
+    """Frequency and current that a sweep or phase lock requests for the drive."""
 
     frequency_hz: float
     current_a: float  # peak current [A] (m or V by `drive.kind`)
@@ -177,7 +177,9 @@ class SteppedSine:
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Process a row of `transmissibility/table`; return the next setpoint if the point is complete.
+        """Process a row of `transmissibility/table`; return the setpoint to command now, None while the point goes on.
+
+        It is that of the next point if this one is complete, or zero current if the sweep has finished or is aborted.
 
         A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status
         `not_settled`. Any other is a failed one, and more of these than the plan's `retries` abort the sweep. With the

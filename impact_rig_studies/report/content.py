@@ -64,7 +64,7 @@ BUDGET_HEADINGS = ("source", "error", "type", "relative u (%)", "u(DT)", "share 
 
 
 def budget_rows(found: Budget) -> list[list[str | Cell]]:
-    """Return the rows of a table of an uncertainty budget of DT with the columns `BUDGET_HEADINGS`.
+    """Return the rows of a table of an uncertainty budget of a transmissibility (DT), with columns `BUDGET_HEADINGS`.
 
     There is a row for each contribution with a share of the variance of at least `LEAST_SHARE`, and a last one for the
     combined standard uncertainty.
