@@ -186,8 +186,8 @@ def test_the_target_cpu_follows_from_the_machine() -> None:
     [
         (lambda: fill_normal(np.zeros(4, np.int64), np.zeros(3)), "array 0 must hold dtype\\('uint64'\\)"),
         (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros((3, 1))), "array 1 must have 1 dimensions, got 2"),
-        (lambda: fill_normal(np.zeros(4, np.uint64)), "got 1 arguments"),
-        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros(3), 1), "got 3 arguments"),
+        (lambda: fill_normal(np.zeros(4, np.uint64)), "wrong number of arguments, got 1"),
+        (lambda: fill_normal(np.zeros(4, np.uint64), np.zeros(3), 1), "wrong number of arguments, got 3"),
         (lambda: fill_normal(np.zeros(4, np.uint64), [0.0]), "no attribute 'dtype'"),
         (lambda: fill_lines(np.zeros(1, SEGMENT), np.zeros(2), "fast"), "must be real number"),
         (lambda: pieces._cut(np.zeros(0, np.int64), np.zeros(0), 0, (1.0, 2.0), ()), "expected a tuple of 3"),

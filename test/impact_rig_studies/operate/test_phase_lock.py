@@ -156,7 +156,9 @@ def test_a_lost_lock_ends_after_a_timeout():
     follow(lock, bench, lambda one: one.locked)
     bench.hz = 9.6
     follow(lock, bench, lambda _: False)
-    assert "for 20 s of rig time the phase was not within -90 ± 2 degrees" in lock.reason
+    assert (
+        "for 20 s of rig time (lose_limit_s) the mean phase of a second was not within -90 ± 2 degrees" in lock.reason
+    )
 
 
 def test_a_start_frequency_outside_the_bounds_is_rejected():
