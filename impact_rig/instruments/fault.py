@@ -99,11 +99,13 @@ class Fault:
             number = getattr(self, key)
             if not math.isfinite(number) or (number < 0 and key != "value"):
                 rule = "finite" if key == "value" else "finite and >= 0"
-                raise CommandError(f"{key} of {self.kind} must be {rule}, got {number!r}")
+                raise CommandError(f"{key} of the fault {self.kind} must be {rule}, got {number!r}")
             if key in _COUNTS and number > MOST:
-                raise CommandError(f"{key} of {self.kind} must be at most 2**53, got {number:.17g}")
+                raise CommandError(f"{key} of the fault {self.kind} must be at most 2**53, got {number:.17g}")
         if self.kind == "clock_drift" and abs(self.value) > LARGEST_DRIFT_PPM:
-            raise CommandError(f"value of clock_drift must be within ± {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}")
+            raise CommandError(
+                f"value of the fault clock_drift must be within ± {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}"
+            )
 
     def line(self, scan_rate_hz: int) -> str:
         """Return the fault as one line of text for `instruments.faults.planned`, with its times in seconds.

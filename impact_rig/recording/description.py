@@ -227,7 +227,9 @@ def definitions(type_name: str) -> dict[str, str]:
             if used not in seen:
                 seen.add(used)
                 if len(seen) > _MAX_TYPES:
-                    raise RecordingError(f"{type_name} uses more than {_MAX_TYPES} message types")
+                    raise RecordingError(
+                        f"the installed definition of {type_name} uses more than {_MAX_TYPES} types: not recordable"
+                    )
                 append(used)
 
     append(root)

@@ -502,7 +502,7 @@ class Run:
             place, reading = ahead.popleft()
             place.source.refuse_if_closed(place.segment.offset)  # its content may have been read earlier
             content = reading.result()
-            with _named(self.path):  # counted before any record becomes an object
+            with _named(place.source.path):  # counted before any record becomes an object
                 account.records(records.count(content, most))
             pending += _items(place, content, names, running_number[id(place)], account)
             cut = len(pending)
@@ -540,11 +540,16 @@ class Run:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Put the path of a run or file in front of the message of a BudgetError that the `with` block raises."""
+    """Put the path of a run or file in front of the message of an error of the `with` block.
+
+    It is a BudgetError, or a DamageError, whose message also gets the remedy.
+    """
     try:
         yield
     except BudgetError as error:
         raise BudgetError(f"{path}: {error}") from error
+    except DamageError as error:
+        raise DamageError(f"{path}: {error}; {_REMEDY}") from error
 
 
 def _size(*places: _Place) -> int:
@@ -674,20 +679,16 @@ def _items(
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
     items = []
-    try:
+    with _named(place.source.path):
         for number, raw in enumerate(records.messages(content, wanted)):
-            topic, data = topics[raw.channel_id], raw.data
+            topic, data = topics.get(raw.channel_id), raw.data
+            if topic is None:
+                raise DamageError(f"a message belongs to the unknown channel {raw.channel_id}")
             if topic.encoding == description.SERIALIZATION and bytes(data[:4]) == records.ZSTD_MAGIC:
                 data = records.plain_message(data, budget.CHUNK_BYTES)
                 account.chunk(len(data))
             message = Message(topic.name, topic.type_name, raw.log_time, raw.publish_time, raw.sequence, data)
             items.append((raw.log_time, number_of_place, number, message))
-    except KeyError as error:
-        raise DamageError(f"{place.source.path}: a message belongs to the unknown channel {error}") from error
-    except DamageError as error:
-        raise DamageError(f"{place.source.path}: {error}; {_REMEDY}") from error
-    except BudgetError as error:
-        raise BudgetError(f"{place.source.path}: {error}") from error
     return items
 
 

@@ -221,7 +221,7 @@ def count(records: memoryview, most: int) -> int:
     unpack, head = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while offset < stop and found <= most:
         if offset + head > stop:
-            raise DamageError(f"no complete record at byte {offset}")
+            raise DamageError(f"the content of a chunk has no complete record at its byte {offset}")
         _, length = unpack(records, offset)
         offset += head + length
         found += 1

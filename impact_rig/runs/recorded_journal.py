@@ -139,4 +139,6 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
             kind=kind, channel=channel, start_sample=sample, samples=samples, value=value, seed=seed, rate_hz=rate
         )
     except (ValueError, struct.error, CommandError) as error:
-        raise ConfigError(f"a row of the recorded journal holds no valid fault: key {key!r}, text {text!r}") from error
+        raise ConfigError(
+            f"a row of the journal, a table of an earlier version, describes no fault: key {key!r}, text {text!r}"
+        ) from error

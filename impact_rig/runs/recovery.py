@@ -524,9 +524,10 @@ def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> R
 
 
 def _files(path: Path, report: RecoverReport) -> list[Path]:
-    """Return the MCAP files to recover: those that `metadata.yaml` lists, or if that fails all files in the directory.
+    """Return the MCAP files to recover: `path` itself if it is a file, or those that its `metadata.yaml` lists.
 
-    The report then lists the reason as a damage.
+    Without a `metadata.yaml` they are all files in the directory. If it cannot be read, or lists a missing file, they
+    are these as well, and the report lists the reason as a damage.
 
     Raises:
         RecordingError: there is no MCAP file.

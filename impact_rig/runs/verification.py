@@ -522,13 +522,14 @@ class _Recorded:
         self._step()
 
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
-        """End the journal: a recorded message before `end_ns` that was not compared counts as a difference.
+        """End the journal: the next recorded message, if it is before `end_ns`, counts as a difference.
 
-        So does a re-simulated message that was not recorded, if its stamp is more than `lag_ns` before the end.
+        If another rig follows, it does not count, because stamps may go back and it may belong to that rig. A
+        re-simulated message that was not recorded counts, too, if its stamp is more than `lag_ns` before the end.
 
         Args:
             end_ns: end of the scans of the journal [ns].
-            restarted: whether the start of another rig follows, to which the next messages may belong.
+            restarted: whether the start of another rig follows.
             lag_ns: duration before the end whose messages may not have reached the recorder [ns].
         """
         if not restarted and self.coming is not None and self.count and self._last_ns <= self.coming[0] < end_ns:

@@ -494,7 +494,8 @@ class LocalRigWithNodes(LocalRig):
             with contextlib.closing(result), contextlib.suppress(StopIteration):
                 result.send(None)
                 raise BlockedError(
-                    f"{hosted.name} blocks: {what} awaits a result that only another callback of this executor can give"
+                    f"{hosted.name} blocks: {what} waits at an `await` for a result that only another callback of this "
+                    "executor can give; process the result in that callback"
                 )
 
     @contextlib.contextmanager

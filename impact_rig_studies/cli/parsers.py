@@ -387,7 +387,7 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=int,
         default=rate_hz,
         metavar="HZ",
-        help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
+        help=f"scans per second, and samples per second to which the drive is resampled (default: {rate_hz})",
     )
     parser.add_argument(
         "--abort",

@@ -106,7 +106,10 @@ def rate_hz(name: str, value: float) -> float | None:
 
 
 def time_unit(name: str, unit: str) -> str:
-    """Return the unit of a column of times: `unit` if it is given, or else that in its name; empty if unknown."""
+    """Return the unit of a column of times: `unit` (see `split_unit`), or else the one that its name implies.
+
+    A name implies a unit by a suffix (`time_ms`) or as a word (`seconds`). The result is empty if neither is known.
+    """
     suffix = _time_suffix(name)
     return unit or _UNIT_OF_NAME.get(suffix or bare(name), suffix or "")
 

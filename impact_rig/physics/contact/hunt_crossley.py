@@ -128,7 +128,7 @@ class HystereticLaw(ContactLaw):
         raise NotImplementedError
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the Hunt–Crossley force with the Hertz stiffness of the bodies `pair` and this law's factor a."""
+        """Return the force K δ^1.5 (1 + a δ'/v0): Hertz stiffness K of the bodies `pair`, a of this law's formula."""
         return Force(
             _hertz_damped, pair.hertz_stiffness, self.hysteresis_factor(), 1.5, self.restitution, scale_free=True
         )

@@ -262,7 +262,7 @@ def test_a_report_describes_the_rig_and_its_events() -> None:
             {},
             {"kind": "dropout", "channel": "laser", "start_sample": -1},
             CommandError,
-            "start_sample of dropout must be finite and >= 0",
+            "start_sample of the fault dropout must be finite and >= 0",
         ),
     ],
 )

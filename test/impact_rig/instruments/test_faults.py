@@ -203,10 +203,16 @@ def test_a_fault_cannot_be_injected_into_the_past():
         ({"kind": "lost_block", "channel": "laser"}, "lost_block is a fault of the whole board"),
         (
             {"kind": "stuck", "channel": "base", "start_sample": -1},
-            "start_sample of stuck must be finite and >= 0, got -1",
+            "start_sample of the fault stuck must be finite and >= 0, got -1",
         ),
-        ({"kind": "gain_error", "channel": "base", "value": np.nan}, "value of gain_error must be finite, got nan"),
-        ({"kind": "clock_drift", "value": -1e6}, "value of clock_drift must be within ± 500000 ppm, got -1000000.0"),
+        (
+            {"kind": "gain_error", "channel": "base", "value": np.nan},
+            "value of the fault gain_error must be finite, got nan",
+        ),
+        (
+            {"kind": "clock_drift", "value": -1e6},
+            "value of the fault clock_drift must be within ± 500000 ppm, got -1000000.0",
+        ),
     ],
 )
 def test_an_invalid_fault_is_rejected_by_name(fault, message):

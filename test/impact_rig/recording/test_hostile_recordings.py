@@ -134,6 +134,13 @@ def test_an_index_with_a_wrong_chunk_size_counts_as_damage(tmp_path: Path) -> No
         list(run.messages())
 
 
+def test_a_chunk_that_ends_within_a_record_is_damage_with_path_and_remedy(tmp_path: Path) -> None:
+    path = TOOL["recording"](tmp_path / "cut.mcap", [TOOL["message"](0, b"") + b"\x05\x00"])
+    words = r"cut\.mcap: the content of a chunk has no complete record at its byte \d+; impact-rig recover saves"
+    with open_run(path) as run, pytest.raises(DamageError, match=words):
+        list(run.messages())
+
+
 def test_quality_of_service_is_read_by_field_without_expanding_aliases() -> None:
     def profiles(text: str) -> list[Any]:
         return TopicDescription(name="/a", type_name="b/msg/C", schema="", offered_qos_text=text).offered_qos_yaml()

@@ -80,7 +80,7 @@ def test_a_planned_fault_that_would_start_too_late_changes_nothing() -> None:
     rig.advance(5 * TICK)
     before = rig.config
     late = f"dropout channel=laser start_s={MOST / rig.rate_hz!r}"
-    with pytest.raises(ConfigError, match="start_sample of dropout must be at most"):
+    with pytest.raises(ConfigError, match="start_sample of the fault dropout must be at most"):
         rig.configure({"instruments.faults.planned": [late], "barriers.gap_m": 0.003})
     assert rig.config == before
     assert [entry.kind for entry in rig.take_journal()] == [InputKind.START]
