@@ -264,7 +264,9 @@ class HeldDrive:
     def __attrs_post_init__(self) -> None:
         given = attrs.asdict(self, filter=lambda _, value: value is not None)
         if len(given) != 1:
-            raise ConfigError(f"exactly one of current_a, base_m and superior_m must be given, got {given}")
+            raise ConfigError(
+                f"exactly one of current_a, base_m and superior_m must be given, got {' and '.join(given) or 'none'}"
+            )
         for name, value in given.items():
             if not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"{name} must be > 0 and finite, got {value!r}")

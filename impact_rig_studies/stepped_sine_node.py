@@ -158,7 +158,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return self._now_ns
 
     def doing(self) -> NodeState:
-        """Return the state that the node publishes: idle, waiting or aborted (both with a reason), running, or done."""
+        """Return the state that the node publishes: idle, running or done; or, with a reason, waiting or aborted."""
         words = states.SteppedSineWord
         if self._pending:
             return NodeState(words.WAITING, self._missing() or "about to begin")

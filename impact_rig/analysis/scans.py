@@ -61,7 +61,10 @@ def status_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 @functools.lru_cache(maxsize=64)  # few types of rows exist
 def _places(dtype: np.dtype[np.void]) -> tuple[tuple[int, int], ...]:
-    """Return, for each channel of `CHANNELS` in a row type of scans, its index in `CHANNELS` and that in the scans."""
+    """Return for each channel of `CHANNELS` in a row type of scans its bit in our status and that in the scans' status.
+
+    These are its index in `CHANNELS`, and that among the columns except time and status.
+    """
     found = [name for name in dtype.names or () if name not in _FRAME]
     return tuple((bit, found.index(name)) for bit, name in enumerate(CHANNELS) if name in found)
 
@@ -186,7 +189,7 @@ class Recent:
         self.count = 0  # scans that are kept
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block begins one scan after the end of the newest kept block; False if none is kept."""
+        """Return whether a block begins one scan (± half a scan) after the last kept scan; False if none is kept."""
         return bool(self._blocks) and abs(scan.stamp_ns - self.next_ns()) <= 0.5 * NS_PER_S / self._rate_hz
 
     def add(self, scan: Table) -> None:

@@ -222,7 +222,7 @@ class DaqmxTask:
 
     @property
     def progress(self) -> int:
-        """Number of samples per channel since the start: acquired by an input, passed to the rig by an output."""
+        """Number of samples per channel since the start: acquired by an input; of an output, given to the rig."""
         return self.passed + self.available
 
     @property

@@ -409,7 +409,8 @@ class Chain:
     ) -> None:
         """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings, in place.
 
-        `first` is the number of the scan of the first reading, and `last` the reading before it, None at the start.
+        The flags in `clipped` of the repeated readings are cleared. `first` is the number of the scan of the first
+        reading, and `last` the reading before it, None at the start.
         """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):

@@ -224,7 +224,7 @@ _NO_ROWS = np.zeros(0, FAULTS)
 
 @attrs.define(eq=False)
 class _Active:
-    """Fault of a `FaultBoard`, with its number, the scan at which it ends, and its random generator."""
+    """Fault that a `FaultBoard` stores before, during and after its effect, with its number and random generator."""
 
     number: int
     fault: Fault

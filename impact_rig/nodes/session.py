@@ -197,7 +197,7 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one block of the rig, with its impacts and faults; a block whose scans a fault withheld counts, too."""
+        """Count one block of the rig and its impacts, and note its active faults; a block without scans counts, too."""
         self.blocks += 1
         self.lost_blocks += block.lost
         if block.impacts is not None:

@@ -363,7 +363,8 @@ def _evaluate_acceleration(p: Record, step: Record) -> None:
 def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Fill in the force and the slope dδ'/dχ at the stages, and the derivatives of this slope by w and by δ'.
 
-    The acceleration a_r, which presses sphere and wall together, counts as constant in these derivatives.
+    δ' is the rate of the indentation δ [m/s], w = √δ, and dt = w dχ. The acceleration a_r, which presses sphere and
+    wall together, counts as constant in these derivatives.
     """
     law.at_stages(p, s.per_v0, step)
     for i in range(STAGES):

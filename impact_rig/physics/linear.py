@@ -114,7 +114,7 @@ class Constants(NamedTuple):
     """Constants of the structure and the shaker as the equations of motion use them, SI.
 
     Index 1 is the superior base on its columns; `m_base` is the mass of moving element and inferior base, on the
-    suspension c_f, k_f. The last three belong to the coil.
+    suspension c_f, k_f. `force_factor`, `resistance` and `inductance` belong to the coil.
     """
 
     m_1: float

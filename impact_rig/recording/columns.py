@@ -154,8 +154,9 @@ def leading(
 def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns:
     """Return the columns of the rows of tables with equal columns; `time` counts from `origin_ns`.
 
-    A column of the tables with the name of a leading column becomes `<name>_of_table`, except a numeric `time`, which
-    is part of the leading `time`.
+    `earlier` states for each table whether its message was published before the recording began. A column of the
+    tables with the name of a leading column (`leading`) becomes `<name>_of_table`, except a numeric `time`: the time of
+    a row after the stamp of its table [s], which is added to the leading `time`.
     """
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]

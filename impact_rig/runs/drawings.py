@@ -168,7 +168,7 @@ def save(figure: Figure, stem: Path, formats: Sequence[str]) -> list[Path]:
     """Write a figure to `stem` plus the suffix of each format, and return the paths.
 
     Raises:
-        RecordingError: a file exists already, or cannot be written.
+        RecordingError: a file exists already, or cannot be written; the formats before it have been written.
     """
     plain_texts(figure)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in formats]

@@ -391,7 +391,8 @@ def _missing(block: Block, compared: int) -> Verification:
 def _difference(logged: Table, again: Table) -> str:
     """Return the first difference between a recorded and a re-simulated table as text; empty if they are equal.
 
-    The text has the stamp, the row, the column and both values.
+    They differ in stamp or number of rows, by a missing column, or in a value; of a value the text has the stamp, the
+    row, the column and both values.
     """
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (

@@ -403,8 +403,8 @@ class LocalRigWithNodes(LocalRig):
             for timer in hosted.node.timers:
                 if timer.clock.clock_type != ClockType.ROS_TIME:
                     raise ConfigError(
-                        f"a timer of {hosted.name} runs by {timer.clock.clock_type.name}; use a timer that "
-                        "follows the node's clock, the default of create_timer"
+                        f"the node {hosted.name} has a timer by {timer.clock.clock_type.name}, not by rig time; "
+                        "create it with the default clock of create_timer"
                     )
             present = list(hosted.node.subscriptions)
             for gone in set(hosted.inboxes).difference(present):

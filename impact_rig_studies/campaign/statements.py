@@ -84,7 +84,10 @@ Judgement = tuple[Statement, str]
 
 
 def judge(curves: Curves) -> list[Verdict]:
-    """Judge each of the paper's seven statements on the settled points of the reference rig."""
+    """Judge each of the paper's seven statements on the settled points of the reference rig.
+
+    The result of a statement is None if a point that it needs is missing.
+    """
     verdicts = []
     for name, kind, unit, text, judge_one in _STATEMENTS:
         result: Statement | None = None
@@ -189,7 +192,8 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     It is the vertex of the parabola through the highest settled point and both its neighbours.
 
     Raises:
-        MissingError: the highest point has no neighbours on both sides that are `PEAK_STEP_HZ` or less apart from it.
+        MissingError: the highest point lacks a neighbour on one side, or its neighbours are more than 2 `PEAK_STEP_HZ`
+            apart from each other.
     """
     curve = sorted(curves.by_gap.get(gap_m, {}).items())
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)

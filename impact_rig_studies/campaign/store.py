@@ -224,14 +224,14 @@ class _Checked:
         return float(value)
 
     def text(self, key: str) -> str:
-        """Return the text under a key."""
+        """Return the value of the field `key` of the object; raise an error unless it is a text."""
         value = self._value(key)
         if not isinstance(value, str):
             raise self._wrong(key, value, "a text")
         return value
 
     def several(self, key: str) -> list[object]:
-        """Return the list under a key."""
+        """Return the value of the field `key` of the object; raise an error unless it is a list."""
         value = self._value(key)
         if not isinstance(value, list):
             raise self._wrong(key, value, "a list")

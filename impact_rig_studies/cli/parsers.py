@@ -642,7 +642,8 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         command: name of the command, also the first word of the default directory.
         what: subject of the file, for the help.
         example: path of a file that comes with the package, for the help.
-        other_way: way of measuring in addition to `process` and `dask`, for the help.
+        other_way: part of the help of `--through` that names a further way of measuring, with a leading comma, such as
+            `, ros (rig and analysis as ROS nodes)`; empty if there is none.
     """
     parser.add_argument(
         "file",

@@ -122,7 +122,7 @@ NOTHING = Reading(FAILED, *[math.nan] * 10)  # reading of a point whose motion c
 
 
 class _Record(NamedTuple):
-    """Record of consecutive drive cycles: a row of amplitudes and positions for each, and the sphere's impacts."""
+    """Record of consecutive drive cycles: amplitudes of both bases and start of the sphere in each, and the impacts."""
 
     cycles: NDArray[np.void]  # one row of dtype `fundamental.CYCLE` per cycle
     cycle: NDArray[np.int64]  # for each impact, the index of its cycle in the record

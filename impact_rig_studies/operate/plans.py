@@ -62,7 +62,7 @@ class SweepPlan:
     frequencies_hz: tuple[float, ...] = quantities(
         (7.5, 8.0, 8.5, 8.9, 9.0, 9.1, 9.2, 9.5, 10.0, 10.5),
         "Hz",
-        "Drive frequencies of the points, in any order.",
+        "Drive frequencies of the points, in any order; they are measured as one sweep in the order of direction.",
         Origin.PAPER,
         above=0,
         at_most=10_000,

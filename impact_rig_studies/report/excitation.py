@@ -109,7 +109,7 @@ def _panes(axes: Sequence[Axes], *labels: str, x: str) -> None:
 
 
 def _learning(errors: Sequence[float], label: str, what: str) -> Drawn:
-    """Draw the error of each loop or trial over its number; `label` names the error, `what` is `loop` or `trial`."""
+    """Draw the errors of loops or trials over their number; `label` has their unit, `what` is `loop` or `trial`."""
     figure, (axis,) = new_axes(2.4)
     number = np.arange(1, len(errors) + 1)
     axis.plot(number, errors, "o-", color=MEASURED)
