@@ -200,6 +200,7 @@ def test_every_test_that_runs_a_page_names_it():
         ("`ros2 param set /rig/rig barriers.gap 1`", "docs/reference/configuration.md has no parameter barriers.gap"),
         ("```sh not run: so\nros2 run impact_rig\n```\n", "ros2 run impact_rig: words are missing"),
         ("in `test/test_nothing.py`", "there is no test/test_nothing.py"),
+        ("```python title=new.py\n1\n```\n", "the text before the block does not name its file new.py"),
         ("in `config/none/`", "there is no config/none/"),
         ("It takes 3.5 s.\n", "no command prints and no test checks figures such as '3.5'"),
         ("# A\n## B\n<!-- figures: make test -->\n9 %\n\n## C\n| a |\n|---|\n| 7 % |\n", "docs/page.md:6: no command"),

@@ -191,11 +191,10 @@ def faults(page: Page) -> Iterator[str]:
                 yield from (f"{where}: {fault}" for fault in command_faults(command, whole=True))
     if page.name == "README.md" or page.name.startswith("docs/"):
         yield from figure_faults(page)
-    titles = {block.info.removeprefix("title=") for block in page.blocks}
-    for block in page.blocks:
-        title = block.info.removeprefix("title=")
-        if title != block.info and not any(text == title and 0 < block.line - line < 12 for line, text in page.words):
-            yield f"{page.name}:{block.line}: the text before the block does not name its file {title}"
+    titles = {block.info.removeprefix("title="): block.line for block in page.blocks if block.info.startswith("title=")}
+    for title, begin in titles.items():
+        if not any(text == title and begin - 12 < line < begin for line, text in page.words):
+            yield f"{page.name}:{begin}: the text before the block does not name its file {title}"
     for line, text in page.words:
         where = f"{page.name}:{line}"
         for command in commands(text) if text.split(" ")[0] in PROGRAMS or "=" in text.split(" ")[0] else ():

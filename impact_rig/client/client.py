@@ -216,7 +216,7 @@ class AddressedActivation:
             self._first = self._first or instance
 
     def changed(self) -> None:
-        """Register that a new activation may have begun, as after a transition.
+        """Register that a new activation may have started, as after a transition.
 
         Later waits concern the activation that reports next.
         """

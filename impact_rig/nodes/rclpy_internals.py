@@ -127,7 +127,7 @@ class PollingEventsExecutor(EventsExecutor):
         super().wake()
 
     def _watch_soon(self) -> None:
-        """Schedule one poll of each new subscription, service and client, after the executor has begun to listen to it.
+        """Schedule one poll of each new subscription, service and client, to run once the executor listens to it.
 
         The executor has already requested to listen, and its requests run in order.
         """

@@ -477,7 +477,7 @@ class Rig:
 
         Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. Until that time is simulated, the
         sample may be sent again and replaced. An empty array ends the stream at `first_sample`. A sample that is
-        missing anywhere else, once the stream has begun, causes an underrun.
+        missing anywhere else, once the stream has started, causes an underrun.
 
         Args:
             first_sample: number of the first sample.
