@@ -237,9 +237,10 @@ class _Stretch:
 
 
 class _ModelledScans:
-    """All scans of a run, corrected for the lag and skew of the sensors (`true`), and the scans of the model (`model`).
+    """All scans of a run (`true`), and the scans of the model (`model`) at the same times.
 
-    Both have the same times. `model` is zero until each stretch has been simulated.
+    In `true`, laser, base and current are corrected for the lag and skew of their sensors, the accelerometer is not.
+    `model` is zero until each stretch has been simulated.
     """
 
     def __init__(self, run: Run, calibration: Calibration) -> None:

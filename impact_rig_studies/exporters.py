@@ -82,6 +82,9 @@ def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
 
     The column `curve` names the curve to which a point belongs: one curve per study, gap, direction, current and values
     of the other axes.
+
+    Raises:
+        RecordingError: no point is settled.
     """
     settled = [point for point in points if point.settled]
     if not settled:

@@ -159,7 +159,7 @@ def numbers(key: str, value: object, low: float, high: float = math.inf) -> tupl
 def gaps(key: str, value: object) -> tuple[float, ...]:
     """Return the values of a list, a range or a single value (`values`), each of which must be a gap [m].
 
-    The text `none` and a missing value become `NO_SPHERE`.
+    The text `none` and null (an empty value) become `NO_SPHERE`.
 
     Raises:
         ConfigError: a gap is not > 0 and <= 1 m (at 0 both barriers would touch the sphere), or the list is invalid.

@@ -96,7 +96,7 @@ class Job:
         return TrackerSettings(**dict(self.analysis))  # type: ignore[arg-type]  # its validators check
 
     def labelled_settings(self) -> dict[str, Value]:
-        """Return the parameters of the analysis, by name: all its settings, and the operator's label of the gap."""
+        """Return the parameters of the analysis by name: its settings, and the label `gap_m` ([m] or `NO_SPHERE`)."""
         return {**attrs.asdict(self.settings()), "gap_m": self.gap_m}
 
     def plan(self) -> SweepPlan:
@@ -226,5 +226,5 @@ def start_local(job: Job) -> RigDriver:
 
 
 def execute(job: Job) -> Outcome:
-    """Measure a job on a rig in this process; an error of rig or sweep becomes the outcome's `failure`."""
+    """Measure a job on a new rig in this process; result and errors are those of `run_job`."""
     return run_job(job, start_local)

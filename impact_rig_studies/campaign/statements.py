@@ -107,7 +107,11 @@ def _need(curves: Curves, gap_m: float, frequency_hz: float) -> Point:
 
 
 def _reduction(curves: Curves, gap_m: float) -> float:
-    """Return the reduction of DT by the sphere at 9.1 Hz with this gap [%], relative to DT without the sphere."""
+    """Return the reduction of DT by the sphere at 9.1 Hz with this gap [%], relative to DT without the sphere.
+
+    Raises:
+        MissingError: one of the two points is missing or not settled.
+    """
     without = _need(curves, NO_SPHERE, FREQUENCY_HZ).dt
     return 100.0 * (1.0 - _need(curves, gap_m, FREQUENCY_HZ).dt / without)
 

@@ -138,10 +138,11 @@ class Store:
             files.write_text(self._path(job, "json"), json.dumps(content, indent=1) + "\n")
 
     def _read(self, job: Job) -> tuple[Mapping[str, object], Outcome]:
-        """Return the content of a job's file, which must exist, and the outcome in it.
+        """Return the content of a job's file, and the outcome in it.
 
         Raises:
-            DamagedPointError: the file is damaged.
+            FileNotFoundError: the job has no file.
+            DamagedPointError: the file, or a requested trace, is damaged.
         """
         path = self._path(job, "json")
         try:
@@ -189,12 +190,14 @@ class Store:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
             raise DamagedPointError(f"{path} is not a valid stored trace: {why}") from error
         if size > MAX_TRACE_BYTES:
-            raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} bytes, got {size}")
+            raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} unpacked bytes, got {size}")
         for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
             column = arrays.get(name)
             if column is None or not len(column) or len(column) != len(arrays["time"]):
                 found = "none" if column is None else f"{len(column)}"
-                raise DamagedPointError(f"{path}: column {name} must have as many values as time, > 0, got {found}")
+                raise DamagedPointError(
+                    f"{path}: column {name} must have at least one value, and as many as time, got {found}"
+                )
             if not np.all(np.abs(column) <= MOST):
                 raise DamagedPointError(f"{path}: column {name} must be finite and at most {MOST:g}")
         if hashlib.sha256(packed).hexdigest() != digest:

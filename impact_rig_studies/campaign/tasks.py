@@ -70,7 +70,7 @@ class Task(WorkItem, Protocol):
     """Task of a map or dynamics study, whose result is stored as rows."""
 
     def read(self, rows: Sequence[Row]) -> Sequence[Row]:
-        """Check rows that were read from this task's file, and return them as they were measured.
+        """Check rows that were read from this task's file, and return them in the type in which they were measured.
 
         Raises:
             ValueError: the rows cannot be a result of this task.
@@ -95,7 +95,7 @@ class TaskStore(Generic[T]):
 
     @property
     def file(self) -> Path:
-        """Path of the file in the directory that defines the study."""
+        """Path of the YAML file in `directory` that defines the study."""
         return self.directory / f"{self.what}.yaml"
 
     def prepare(self, text: str, base: RigConfig) -> None:

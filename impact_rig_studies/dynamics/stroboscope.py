@@ -145,8 +145,8 @@ class Stroboscope:
         """Return the coordinates that z leads to after `returns` returns of the map, at the dimensionless parameter p.
 
         One return takes `cycles` cycles of the drive. The result has the shape of z, (n,).
-        It is NaN if the sphere is then in contact with a wall, if the motion cannot be simulated, or if an impact
-        occurs in a motion that had none when the coordinates were chosen.
+        It is NaN if the sphere is then in contact with a wall, or if the motion cannot be simulated. It is also NaN if
+        p is out of the parameter's range, or if a motion that had no impacts when the coordinates were chosen has one.
         """
         try:
             motion = self._run(z, p, self.cycles * returns)
@@ -430,7 +430,8 @@ def at(place: Place, over: str, value: float) -> Place:
         value: value of the parameter in its own unit.
 
     Raises:
-        ConfigError: the configuration has no such number, or the value is out of range.
+        ConfigError: the configuration has no such number, or its value is out of range. Frequency and current are not
+            checked.
     """
     config, frequency, amplitude = place
     if over == FREQUENCY:

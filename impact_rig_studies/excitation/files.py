@@ -129,7 +129,8 @@ def history(
         unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
             states, or else `wanted`. It is ignored for a run, whose values are in SI units.
         scale: factor by which the values are multiplied.
-        file_hz: number of samples per second of a file that states neither times nor a rate; rejected otherwise.
+        file_hz: number of samples per second of a file that states neither times nor a rate. It is an error for any
+            other file, and ignored for a run.
 
     Returns:
         The samples, shape (n,).

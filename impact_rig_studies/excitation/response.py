@@ -172,6 +172,7 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
 
     Raises:
         ConfigError: the band of the excitation is not below half of the sample rate.
+        BudgetError: the excitation would have too many samples.
         CommandError: the shaker trips, or rejects the drive.
         TimeoutError: the rig did not advance.
     """

@@ -194,6 +194,7 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
 
     Raises:
         CommandError: the shaker trips, or rejects the drive.
+        BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """
     rate_hz, corner_hz = hardware.rig.stream_rate_hz, CORNER / pulse.duration_s

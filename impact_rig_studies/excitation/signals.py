@@ -51,6 +51,8 @@ class Excitation:
     def samples(self, rate_hz: int) -> Real:
         """Return the samples of all frames one after the other [A], shape (n,).
 
+        A repeated frame (`pseudo_random`, `chirp`) is contained once more, as a run-in before the measured ones.
+
         Args:
             rate_hz: number of samples per second.
 

@@ -72,6 +72,7 @@ def fit_paper(
         on_step: receives a description of each step for the user.
 
     Raises:
+        ConfigError: a value leaves its range on the way.
         SimulationError: a motion on the way cannot be simulated.
     """
     published = np.array(list(REDUCTION_PERCENT.values()))
@@ -132,7 +133,7 @@ def _slopes(residual: Callable[[Real], Real], at: Real, here: Real, places: Sequ
 
 
 def _reductions(base: RigConfig, at: Real) -> Real:
-    """Simulate the rig at the five gaps of the paper and at 9.1 Hz, and return the reductions of DT in percent.
+    """Simulate the rig at 9.1 Hz with each of the five gaps of the paper, and return the reductions of DT [%], (5,).
 
     Args:
         base: rig with the known values.

@@ -270,7 +270,9 @@ class MapRig:
         return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
-        """Return whether a motion that seems to have settled still seems so `_PART` cycles later; True without impacts.
+        """Return whether a motion that seems to have settled still seems so `_PART` cycles later.
+
+        It is also True without impacts, or if the sphere is in contact.
 
         A chaotic motion that varies by less than the tolerance seems to settle now and then. The rig is returned to its
         present state after this check.

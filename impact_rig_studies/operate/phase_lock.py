@@ -224,7 +224,7 @@ class PhaseLock:
         return self._setpoint()
 
     def unlock(self, now_ns: int) -> None:
-        """Continue with tracking after a setting of the rig has changed at a rig time.
+        """Continue with tracking, or with an unfinished search, after a setting of the rig has changed at a rig time.
 
         The time limit for a lock starts again, and earlier samples no longer count for the mean phase.
         """
@@ -596,6 +596,10 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
         lock: the lock; it is aborted if the shaker is stopped or a sample has too few scans.
         loop: the rig.
         until: condition, checked before each sample.
+
+    Raises:
+        CommandError: the rig rejects a command.
+        TimeoutError: the rig did not advance.
     """
     while lock.state is SweepState.RUNNING and not until(lock):
         now = loop.sample(lock.sample_s)
@@ -609,6 +613,10 @@ def run_phase_lock(plan: LockPlan, loop: LockLoop) -> PhaseLock:
     Args:
         plan: range, speeds and limits of the lock.
         loop: the rig.
+
+    Raises:
+        CommandError: the rig rejects a command.
+        TimeoutError: the rig did not advance.
     """
     lock = PhaseLock(plan)
     loop.set(lock.start(loop.now_ns))
@@ -698,6 +706,10 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
     Returns:
         The measured points, and the reason why the sweep ended early ("" if it did not). A complete sweep leaves the
         drive at zero current.
+
+    Raises:
+        CommandError: the rig rejects a command.
+        TimeoutError: the rig did not advance.
     """
     currents, bound = sweep.currents_a, sweep.lock
     lock = PhaseLock(attrs.evolve(bound, current_a=currents[0], dwell_s=NEVER_S, lose_limit_s=NEVER_S))

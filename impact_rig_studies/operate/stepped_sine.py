@@ -265,7 +265,8 @@ class SteppedSine:
     def _adjusted(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Return a corrected setpoint if a measured response is too far from a target, or None to accept it.
 
-        A stepped sine without control accepts every response; `ControlledSine` overrides this.
+        A stepped sine without control accepts every response. `ControlledSine` overrides this, and may abort the sweep:
+        then it returns zero current.
         """
         del row, now_ns
         return None

@@ -148,7 +148,7 @@ def _npy(column: object) -> bytes:
     [
         (_npy(np.ones(9)).replace(b"(9,)", b"(9999999999999,)")[:300], "must be one column of real numbers"),
         (_npy(np.ones((3, 3))), "must be one column of real numbers"),
-        (_npy(np.ones(0)), "column laser must have as many values as time, > 0, got 0"),
+        (_npy(np.ones(0)), "column laser must have at least one value, and as many as time, got 0"),
         (_npy(np.ones(8)), "got 8"),
         (_npy(np.full(9, np.nan)), "column laser must be finite"),
         (_npy(np.full(9, 2.0)), "was changed after it was stored"),
