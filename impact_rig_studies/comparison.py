@@ -134,7 +134,7 @@ class Comparison:
 
     @property
     def residual(self) -> Real:
-        """Measured motion of the structure minus the model's at each scan of the excerpt [m], each without its mean."""
+        """Measured minus simulated x_1 (superior base) at each scan of the excerpt [m], each without its mean."""
         measured, model = (samples_of(rows, "laser") for rows in (self.excerpt.rows, self.model))
         return np.asarray((measured - measured.mean()) - (model - model.mean()))
 
@@ -433,7 +433,7 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap [m] of each measurement, as its label states, otherwise that of the model (0: no sphere)."""
+    """Return the gap [m] of each measurement: its label, or if that is unknown the model's gap (0: no sphere)."""
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
 

@@ -82,12 +82,12 @@ class Point:
 
     @property
     def base_m(self) -> float:
-        """Amplitude of the inferior base [m], mean of the point's measurements; NaN without one."""
+        """Peak amplitude of the inferior base [m], mean of the point's measurements; NaN without one."""
         return self._mean("base_amplitude")
 
     @property
     def laser_m(self) -> float:
-        """Amplitude of the superior base [m], mean of the point's measurements; NaN without one."""
+        """Peak amplitude of the superior base [m], mean of the point's measurements; NaN without one."""
         return self._mean("laser_amplitude")
 
     @property

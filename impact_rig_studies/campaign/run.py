@@ -83,7 +83,7 @@ class Finished:
         return statements.judge(self.curves)
 
     def reductions(self) -> Reductions:
-        """Return the reductions of DT at 9.1 Hz for those of the paper's gaps that were measured.
+        """Return the reductions of DT at 9.1 Hz for those of the paper's gaps with a settled point.
 
         There are none if the point without the sphere at 9.1 Hz has no settled measurement.
         """

@@ -196,8 +196,8 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     It is the vertex of the parabola through the highest settled point and both its neighbours.
 
     Raises:
-        MissingError: the highest point lacks a neighbour on one side, or its neighbours are more than 2 `PEAK_STEP_HZ`
-            apart from each other.
+        MissingError: there is no settled point, the highest one lacks a neighbour on one side, or its neighbours are
+            more than 2 `PEAK_STEP_HZ` apart from each other.
     """
     curve = sorted(curves.by_gap.get(gap_m, {}).items())
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)

@@ -218,7 +218,11 @@ class _Checked:
         self._path, self._content, self._place = path, content, place
 
     def number(self, key: str, low: float = 0.0, *, above: bool = False) -> float:
-        """Return the number under a key, which must be >= `low`, or > `low` if `above` is true, and <= `MOST`."""
+        """Return the number under a key.
+
+        Raises:
+            DamagedPointError: it is not a number >= `low` (> `low` if `above` is true) and <= `MOST`.
+        """
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= MOST:
             raise self._wrong(key, value, f"a number >= {low:g} and <= {MOST:g}")
@@ -227,21 +231,21 @@ class _Checked:
         return float(value)
 
     def text(self, key: str) -> str:
-        """Return the value of the field `key` of the object; raise an error unless it is a text."""
+        """Return the value of the field `key` of the object; raise DamagedPointError unless it is a text."""
         value = self._value(key)
         if not isinstance(value, str):
             raise self._wrong(key, value, "a text")
         return value
 
     def several(self, key: str) -> list[object]:
-        """Return the value of the field `key` of the object; raise an error unless it is a list."""
+        """Return the value of the field `key` of the object; raise DamagedPointError unless it is a list."""
         value = self._value(key)
         if not isinstance(value, list):
             raise self._wrong(key, value, "a list")
         return value
 
     def each(self, key: str, most: int) -> list[Mapping[str, object]]:
-        """Return the rows in the list under a key, which must be valid measurements and at most `most`."""
+        """Return the rows under a key; raise DamagedPointError unless they are at most `most` valid measurements."""
         rows = self.several(key)
         if len(rows) > most:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
@@ -252,7 +256,11 @@ class _Checked:
         return [row for row in rows if isinstance(row, dict)]
 
     def row(self) -> None:
-        """Check that this object is a row of `transmissibility/table`: known words, and numbers in range or null."""
+        """Check that this object is a row of `transmissibility/table`.
+
+        Raises:
+            DamagedPointError: a column is missing, a word is unknown, or a value is neither a number in range nor null.
+        """
         for name, words in _WORDS.items():
             if self.text(name) not in [word.value for word in words]:
                 raise self._wrong(name, self.text(name), f"one of {', '.join(word.value for word in words)}")

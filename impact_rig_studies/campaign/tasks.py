@@ -140,7 +140,7 @@ class TaskStore(Generic[T]):
             return None
 
     def put(self, task: T, rows: Sequence[Row]) -> None:
-        """Write the rows that are the result of a task into the task's file.
+        """Write the rows that are the result of a task into the task's file; an earlier result is replaced.
 
         Raises:
             RecordingError: the result cannot be written.

@@ -39,7 +39,10 @@ LEAST_DRIVE_DB = -60.0
 
 @attrs.frozen(kw_only=True)
 class Spectrum:
-    """Requested power spectral density, given by corners with straight lines between them on logarithmic axes."""
+    """Requested power spectral density, given by corners with straight lines between them on logarithmic axes.
+
+    It is zero outside the range of the corners.
+    """
 
     frequency_hz: tuple[float, ...]  # frequencies of the corners, ascending
     density: tuple[float, ...]  # densities at the corners, in unit of the response² / Hz

@@ -278,7 +278,7 @@ def identify(
 
     Raises:
         ConfigError: `measured` contains no data, or a constant leaves its range during the fit.
-        SimulationError: the motion with the sphere cannot be simulated at all measured gaps, from any start of the fit.
+        SimulationError: with every start of the fit, the sphere's motion cannot be simulated at some measured gap.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError(
@@ -487,14 +487,14 @@ class _Profile:
         the nuisance parameters `nuisance`) or at the fit at a neighbouring e.
 
         Raises:
-            SimulationError: the motion cannot be simulated at all measured gaps, from any start.
+            SimulationError: with every start, the motion cannot be simulated at some measured gap.
         """
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
-                "the motion with the sphere cannot be simulated at every measured gap, from any of the "
-                f"{len(starts)} starts of the fit: check sphere and contact law in the configuration of the known rig, "
-                "the gaps, and the measured current"
+                f"with each of the {len(starts)} starts of the fit, the motion with the sphere cannot be simulated at "
+                "some measured gap: check sphere and contact law in the configuration of the known rig, the gaps, and "
+                "the measured current"
             )
         if self._u == 0.0:
             return [min(first, key=lambda one: one.cost)]

@@ -99,7 +99,7 @@ class Settings:
 
 
 class Reading(NamedTuple):
-    """Settled motion at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
+    """Motion measured at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
 
     regime: str
     """Regime of the motion: periodic, modulated, chaotic, intermittent or `FAILED`.

@@ -131,7 +131,7 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return a map as a table: the names of its columns, and one row per measured point and layer.
+    """Return a map as a table: the names of its columns, and one row per measured (or failed) point and layer.
 
     The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless an axis sets it),
     and the fields of `Reading`.

@@ -451,7 +451,7 @@ class LockedSine:
 
         Once the requested setpoint is accepted, later scans count for the sample. A different setpoint after that must
         come from another client, and aborts the lock. Before that, different setpoints are ignored, because frequency
-        and current are applied one after the other.
+        and current are applied one after the other. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -469,7 +469,7 @@ class LockedSine:
         return None  # frequency and current are applied one after the other
 
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
-        """Ignore a row of `transmissibility/table`: a lock cannot wait for settled measurements, and uses scans."""
+        """Ignore a row of `transmissibility/table`, and return None: a lock cannot wait for settled measurements."""
         del row, now_ns
         return None
 
@@ -502,7 +502,7 @@ class LockedSine:
     def on_time(self, now_ns: int) -> Setpoint | None:
         """Process the present rig time: abort the lock if no command was accepted, or no scans arrived, in time.
 
-        The limit for both is `accept_limit_s`.
+        The limit for both is `accept_limit_s`. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING or (now_ns - self._heard_ns) / NS_PER_S <= self._limit_s:
             return None

@@ -160,7 +160,7 @@ class SteppedSine:
 
         Once the requested setpoint is accepted, the wait for a measurement begins. A different setpoint after that must
         come from another client, and aborts the sweep. Before that, different setpoints are ignored, because frequency
-        and current are applied one after the other.
+        and current are applied one after the other. Returns the setpoint with zero current after an abort, else None.
         """
         if self.state is not SweepState.RUNNING:
             return None
@@ -216,12 +216,16 @@ class SteppedSine:
         )
 
     def on_scans(self, table: Table) -> Setpoint | None:
-        """Ignore scans: a sweep uses the measurements of the analysis."""
+        """Ignore scans, and return None: a sweep uses the measurements of the analysis."""
         del table
         return None
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort if a command was not accepted, or a point not measured, in time."""
+        """Process the present rig time: abort if a command was not accepted, or a point not measured, in time.
+
+        The limits are `accept_limit_s` and `dwell_limit_s` of the plan. Returns the setpoint with zero current after an
+        abort, else None.
+        """
         if self.state is not SweepState.RUNNING:
             return None
         waited = (now_ns - self._since_ns) / NS_PER_S
