@@ -216,7 +216,7 @@ def compare(
 
 
 def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
-    """Return the row of `rows` with the same gap (or none) and frequency as `row`; None if there is no such row."""
+    """Return the row of `rows` with the gap (or also an unknown one) and frequency of `row`; None if there is none."""
     same = (rows["frequency"] == row["frequency"]) & (
         (rows["gap"] == row["gap"]) | (np.isnan(rows["gap"]) & np.isnan(row["gap"]))
     )

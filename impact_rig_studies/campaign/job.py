@@ -191,7 +191,7 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
 
 def _trace(rig: RigDriver) -> Trace:
-    """Advance the rig by a few blocks, and return their scans and true motion (`truth/scan`) as columns by name."""
+    """Advance the rig, and return scans and true motion (`truth/scan`) of its last `TRACE_BLOCKS` blocks as columns."""
     rig.configure({"output.truth_scan": True})  # changes what is published, but no sample
     rig.step()  # only half of its truth was kept
     rig.clear()

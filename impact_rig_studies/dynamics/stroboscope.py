@@ -253,7 +253,8 @@ class Stroboscope:
     def _mirrored(self, one: Orbit) -> float:
         """Return how far an orbit is from its mirror image half a period later, as the largest coordinate difference.
 
-        It is NaN if the period is an even number of cycles, or if the sphere is in contact half a cycle later.
+        It is NaN if the period is an even number of cycles, or if the sphere is in contact half a cycle or
+        half a period later.
         """
         return float(np.abs(self._half(one.z, one.p) - one.z).max()) if self.cycles % 2 else math.nan
 

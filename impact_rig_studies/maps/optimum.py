@@ -72,7 +72,7 @@ def find(plan: MapPlan, search: Search) -> Optimum:
 
     Args:
         plan: plan of a map, for rig, frequency, current and settings; each point is measured from a reset rig.
-        search: name of the parameter, its range, and the number of points of the first scan.
+        search: name of the parameter, its range, and the number of points of the first, coarse pass over it.
     """
     known: dict[float, Reading] = {}
 

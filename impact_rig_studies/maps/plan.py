@@ -103,7 +103,8 @@ class MapLine(HashedTask):
 
         Returns:
             Configuration values by dotted name, frequency and amplitude of the drive, and the sphere's initial position
-            [m] and speed [m/s]. The last is None if no axis sets them; then `sphere.start` applies.
+            [m] and speed [m/s]. The last is None if no axis sets them; then `sphere.start` applies. If only one of
+            the two is an axis, the other is 0.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -148,7 +149,7 @@ class Search:
     over: str  # name of the parameter
     low: float  # lower end of the range
     high: float  # upper end of the range
-    points: int = 41  # number of points of the first scan
+    points: int = 41  # number of points of the first, coarse pass over the range
 
 
 @attrs.frozen(eq=False, kw_only=True)

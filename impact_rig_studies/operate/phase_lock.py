@@ -696,8 +696,8 @@ class AmplitudePoint:
 def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
     """Measure a backbone curve: lock the phase at each current, first ascending then descending, and average.
 
-    The measurement ends early if the phase does not lock at the first current. A later point at which it does not lock
-    in time is measured as well, and marked as not locked.
+    The measurement ends early if the lock is aborted, also because the phase does not lock at the first current. A
+    later point at which it does not lock in time is measured as well, and marked as not locked.
 
     Args:
         sweep: currents, plan of the lock, and times.
