@@ -178,7 +178,7 @@ def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:
             the message then names a value in which the rigs differ.
     """
     if directory.exists() and any(directory.iterdir()) and not (directory / f"{what}.yaml").exists():
-        raise RecordingError(f"{directory} is not empty and holds no {what}: choose another --output")
+        raise RecordingError(f"{directory} is not empty and has no {what}.yaml: choose another --output")
     try:
         kept = load_config(directory / CONFIGURATION_FILE)
     except ConfigError:  # none yet, damaged, or of another version

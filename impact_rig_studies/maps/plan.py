@@ -52,7 +52,8 @@ RESET, UP, DOWN, BOTH = "reset", "up", "down", "both"
 DIRECTIONS = (RESET, UP, DOWN, BOTH)
 """Values of `direction`: each point starts from rest, or from the motion at the next lower or next higher value.
 
-`both` measures up and down.
+`both` measures up and down. If the gap or a configuration value changes between the points, only the bases keep their
+motion: the sphere returns to its start.
 """
 OWNED = ("daq.", "instruments.", "time.", "step.", "pluck.", "output.", "drive.waveform")
 """Beginnings of the names of configuration values that a map rejects: the mechanics under a sine do not depend on them.
@@ -78,7 +79,9 @@ class MapLine(HashedTask):
     direction: str
     """Start of each point: the motion at the previous point for `up` and `down`, rest for anything else.
 
-    It is `reset`, or the start of the sphere (left, centre, right) if the plan lists several.
+    The latter is `reset`, or the start of the sphere (left, centre, right) if the plan lists several. If the gap or a
+    configuration value varies along the line, `up` and `down` keep only the motion of the bases: the sphere returns to
+    its start at each point.
     """
     frequency_hz: float  # frequency of the drive, unless it is an axis
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis

@@ -184,7 +184,7 @@ def test_a_trace_contains_scans_and_truth_of_the_same_instants(measured):
 
 def test_a_directory_with_other_files_is_never_taken_for_a_campaign(tiny, tmp_path):
     (tmp_path / "thesis.tex").write_text("dear")
-    with pytest.raises(RecordingError, match="is not empty and holds no campaign"):
+    with pytest.raises(RecordingError, match=r"is not empty and has no campaign\.yaml"):
         run.prepare(tiny, tmp_path, "process")
 
 

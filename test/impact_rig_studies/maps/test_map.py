@@ -442,7 +442,7 @@ def test_a_finished_map_can_be_opened_on_any_machine(small, tmp_path, monkeypatc
 def test_a_directory_with_other_files_is_not_touched(small, tmp_path):
     plan, _ = small
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(RecordingError, match="holds no map"):
+    with pytest.raises(RecordingError, match=r"is not empty and has no map\.yaml"):
         run.store(tmp_path).prepare(plan.text, plan.base)
     with pytest.raises(ConfigError, match="holds no results of `impact-rig map`"):
         run.open_map(tmp_path)
