@@ -410,7 +410,7 @@ class Chain:
         """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings, in place.
 
         The flags in `clipped` of the repeated readings are cleared. `first` is the number of the scan of the first
-        reading, and `last` the reading before it, None at the start.
+        reading, and `last` the reading before it; None at the start, where the first reading is repeated instead.
         """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):

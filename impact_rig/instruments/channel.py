@@ -143,10 +143,10 @@ def new_buffers(channels: int, room: int) -> Buffers:
 
 @kernel
 def _conversions(clock: Clock, due: int, tick_s: float, end: float) -> int:
-    """Return how many conversions of a channel lie from its next one on until `end` [s after the start of the tick].
+    """Return how many conversions of a channel, from its next one on, are due by `end` or exactly then.
 
-    `due` is the time of the next conversion since the start of the tick in clock units, and `tick_s` the duration of
-    the tick [s]. Conversions in later ticks do not count.
+    `end` is in seconds since the start of the tick, `due` the time of the next conversion since then in clock units,
+    and `tick_s` the duration of the tick [s]. Conversions in later ticks do not count.
     """
     if due >= clock.tick or tick_s * (due / clock.tick) > end:
         return 0

@@ -58,7 +58,7 @@ class Instruments:
     if TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Return the settings of the instrument called `name`; the registry defines which instruments exist."""
+            """Return the settings of the instrument `name`; only for type checkers, which do not know the names."""
 
     def __attrs_post_init__(self) -> None:
         for instrument in self.all():

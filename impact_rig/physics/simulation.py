@@ -419,8 +419,8 @@ class Simulation:
             if ended != NEED_ROOM or states - work.first_state[index] > MOST_STATES:
                 s = work.states[0]
                 raise SimulationError(
-                    f"the motion cannot be simulated: {_FAILURES[ended]}, {s['t']:.9f} s after its start, in tick "
-                    f"{self.tick + ticks - 1} and phase {PHASES[s['phase']]} of the motion"
+                    f"the motion cannot be simulated: {_FAILURES[ended]}, in phase {PHASES[s['phase']]}, tick "
+                    f"{self.tick + ticks - 1}, {s['t']:.9f} s after the start of a drive segment in this tick"
                 )
             more = {"history": _longer(work.history, STATE), "impacts": _longer(work.impacts, IMPACT)}
             work = self._work = work._replace(**more)

@@ -303,7 +303,7 @@ class Rig:
         return min(most, max(0, end_scan - self._next_scan) // self.config.daq.block_scans)
 
     def stream_state(self) -> Table:
-        """Return the table of the topic `shaker/stream`: one row, with the time of the next sample needed as stamp.
+        """Return the table of the topic `shaker/stream`: one row, stamped with the rig time of the next sample needed.
 
         Raises:
             CommandError: the drive is not a stream.
@@ -345,6 +345,9 @@ class Rig:
             Blocks, oldest first; none if `until_ns` is before the end of the next one. In a block, `scan` is the table
             of `daq/scan`, and `number`, `first_scan` and `end_ns` say when it was measured. `impacts`, `faults` and
             `truth` are tables of the true events and motion, or None. `lost` says whether a fault withholds the scans.
+
+        Raises:
+            SimulationError: the motion cannot be simulated.
         """
         size = self.config.daq.block_scans
         elapsed = until_ns - self.start_ns

@@ -101,7 +101,7 @@ class Interlock:
     def watch(
         self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
     ) -> Trip | None:
-        """Return the first trip in simulated ticks, or None if no limit is exceeded.
+        """Return the first trip in simulated ticks, or None if no limit is exceeded or the base's motion is prescribed.
 
         The average of the current is updated over all ticks, or up to the tick of the trip.
 

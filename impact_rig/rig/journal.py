@@ -399,7 +399,7 @@ class PlannedFaults:
         """Return the change from the present lines to new ones; it takes effect only when `apply` is called.
 
         Args:
-            lines: the new lines.
+            lines: all lines after the change; the fault of a line that stays goes on.
             sample: number of the first scan on which added lines can act; their `start_s` count from there.
 
         Raises:

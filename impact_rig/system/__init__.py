@@ -32,7 +32,12 @@ def lazily(package: str, needs_ros: str = "", **homes: str) -> Callable[[str], o
     """
 
     def find(name: str) -> object:
-        """Return the object with a public name of the package, from the module that defines it."""
+        """Return the object with a public name of the package, from the module that defines it.
+
+        Raises:
+            AttributeError: the package has no such public name.
+            ImpactRigError: the name needs ROS 2, which is not installed.
+        """
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home = homes[name]

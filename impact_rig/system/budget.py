@@ -72,7 +72,7 @@ def allow(what: str, amount: float, limit: float) -> None:
         now = f"{limit * factor():.0f}"
         raise BudgetError(
             f"{amount:.0f} {what}, more than {now}; if you trust the source, set the environment variable "
-            f"{VARIABLE}=N to allow N times as much"
+            f"{VARIABLE}=N to allow N times the default"
         )
 
 

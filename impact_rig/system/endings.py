@@ -178,7 +178,8 @@ def defer_signals() -> Iterator[None]:
 def block_signals() -> Iterator[None]:
     """Block SIGINT and SIGTERM for this thread during a `with` block.
 
-    Processes and threads that are started in the block receive neither signal, unless they unblock it themselves.
+    A signal that arrives in the block takes effect at its end. Processes and threads that are started in the block
+    receive neither signal, unless they unblock it themselves.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:

@@ -86,7 +86,7 @@ def run(
             raise RecordingError(
                 f"{path} takes longer to read than {seconds:.0f} s of computing time or {4.0 * seconds:.0f} s in all, "
                 f"the limits for its size; if you trust it, set the environment variable {budget.VARIABLE}=N to allow "
-                "N times as much"
+                "N times the default"
             )
         how = f" ({signal.strsignal(ended_by)})" if ended_by else ""
         raise RecordingError(f"{path} cannot be read: the process that reads it as {what} crashed{how}; is it damaged?")
@@ -98,7 +98,7 @@ def run(
     if _MEMORY in reply:
         raise RecordingError(
             f"{path} needs more memory to read than is allowed for a file of {file_bytes} bytes; if you trust it, "
-            f"set the environment variable {budget.VARIABLE}=N to allow N times as much"
+            f"set the environment variable {budget.VARIABLE}=N to allow N times the default"
         )
     if _DAMAGED in reply:
         raise RecordingError(f"{path} cannot be read as {what}: {str(reply[_DAMAGED])[:300]}")
