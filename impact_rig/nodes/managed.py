@@ -692,7 +692,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             self.report_change()
 
     def report_change(self) -> None:
-        """Publish diagnostics now if the node's state differs from the last published one.
+        """Publish diagnostics now if the word of the node's state differs from the last published one.
 
         Nothing is published while the process ends.
         """

@@ -159,7 +159,7 @@ class Player:
         Raises:
             RecordingError: a chunk of the run is damaged, or a pause is too long; the messages before it were
                 published.
-            ImpactRigError: a peer acknowledged nothing for 10 s although blocks were outstanding.
+            ImpactRigError: a peer acknowledged nothing for 10 s of wall time although blocks were outstanding.
         """
         self.now_ns = self.start_ns
         self._window = self._new_window()  # stamps begin again
@@ -212,10 +212,10 @@ class Player:
         return min(max(self._pacer.wait_ns(due_ns) / NS_PER_S, 0.0), SPIN_S)
 
     def _wait(self, longest_s: float) -> Iterator[int]:
-        """Run callbacks once, for at most `longest_s` seconds, and yield the present rig time [ns].
+        """Run callbacks for at most `longest_s` seconds of wall time, and then yield the present rig time [ns] once.
 
         Raises:
-            ImpactRigError: a peer has acknowledged nothing for 10 s although blocks were outstanding.
+            ImpactRigError: a peer has acknowledged nothing for 10 s of wall time although blocks were outstanding.
         """
         now = time.monotonic()
         if now - self._rested_at > AWAY_S:

@@ -293,7 +293,7 @@ class Session:
 
     @property
     def is_realtime(self) -> bool:
-        """Return whether the time mode is `realtime`, in which the clock decides when blocks are due."""
+        """Return whether the time mode is `realtime`, in which wall time decides when blocks are due."""
         return self.node.settings.time.mode == "realtime"
 
     @property
@@ -303,12 +303,12 @@ class Session:
 
     @property
     def is_idle(self) -> bool:
-        """Return whether all blocks of the requested steps are published, and no step was requested for a second."""
+        """Return whether all requested steps are published, and no step was requested for 1 s of wall time."""
         return self._steps_left <= 0 and time.monotonic() - self._stepped_at > IDLE_S
 
     @property
     def is_starving(self) -> bool:
-        """Return whether the rig has waited for samples of its drive for longer than `time.peer_timeout_s`.
+        """Return whether the rig has waited for samples of its drive longer than `time.peer_timeout_s` of wall time.
 
         A rig in real time never waits for samples.
         """
@@ -781,6 +781,8 @@ class Session:
 
     def change(self, settings: RigConfig, changes: dict[str, Any]) -> None:
         """Apply new, validated settings to the rig, the flow control and the pace, and publish them.
+
+        If no rig has started, nothing is published; the next rig starts with them.
 
         Raises:
             ImpactRigError: the rig rejects the settings; nothing is changed.

@@ -331,7 +331,10 @@ Information = dict[str, object]
 
 @attrs.define
 class Extent:
-    """Extent of the messages of a file or topic: their number, and their earliest and latest log time [ns]."""
+    """Extent of the messages of a file or topic: their number, and their earliest and latest log time [ns].
+
+    Without messages, `start_ns` is `INFINITE_NS` and `end_ns` is 0.
+    """
 
     name: str = ""  # name of the file
     count: int = 0

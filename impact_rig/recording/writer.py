@@ -740,7 +740,7 @@ class McapFile:
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Remove all records that wait for `commit`, and return their bytes."""
+        """Close the open chunk, remove all records that wait for `commit`, and return their bytes."""
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()

@@ -340,6 +340,8 @@ class _Row:
 def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None = None) -> Agreement:
     """Compare the results of a later analysis of a run with those of the live analysis that it contains.
 
+    If the run contains none, or one that cannot be compared, `same` of the result is None and `reason` says why.
+
     Args:
         run: an open run.
         offline: tables of measurements of the later analysis.
@@ -463,9 +465,9 @@ def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
 
 
 def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool:
-    """Return whether two lists of values agree where both exist, if `shown` begins `shift` values after `settled`.
+    """Return whether two lists of values are equal where both exist, if `shown` begins `shift` values after `settled`.
 
-    One list may continue for up to `EDGE` values after the end of the other.
+    One list may continue for up to `EDGE` values after the end of the other. Lists that do not overlap do not agree.
     """
     ours, theirs = shown[max(0, -shift) :], settled[max(0, shift) :]
     both = min(len(ours), len(theirs))

@@ -130,7 +130,7 @@ class DamagedFile:
     def walk(self) -> Iterator[Found | Damage]:
         """Yield the valid records of the data section in file order, and the damaged parts between them.
 
-        The last one is that before the DataEnd record, or the last one of the file if there is no DataEnd record.
+        The iteration ends at the DataEnd record, which is not yielded, or without one at the end of the file.
         """
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:

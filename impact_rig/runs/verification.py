@@ -797,7 +797,10 @@ class _OtherTopics:
         self._journal = attrs.evolve(self._journal, difference=self._journal.difference or what)
 
     def _compare_configuration(self) -> Compared:
-        """Compare each recorded configuration (topic and attachment) with the configurations of the re-simulations."""
+        """Compare the recorded configurations (topic and attachment) with those of the re-simulations.
+
+        Differing configurations are left out if they may be older than the first recorded scan.
+        """
         name = topics.CONFIGURATION.name
         recorded = texts(self._run, topics.CONFIGURATION, self._blocks)
         attached = self._run.attachments().get(CONFIGURATION)
