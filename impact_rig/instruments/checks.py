@@ -106,7 +106,7 @@ def check_known_input(
     """Apply a sine to every channel of a copy of the rig's instruments and compare the readings with the certificate.
 
     Args:
-        config: configuration of the rig.
+        config: configuration of the rig; its planned faults do not act.
         faults: faults of the copy, which act all the time, whatever their own start and end; those of the whole board
             are ignored.
         frequency_hz: frequency of the sine; choose a whole number of hertz, because one second is measured.
@@ -143,7 +143,7 @@ def check_polarity(config: InstrumentSetup, faults: Iterable[Fault] = ()) -> dic
     """Return for every channel, by name, 1 if a positive input reads positive, −1 if negative, 0 without a signal.
 
     Positive is to the right. A channel with −1 is wired the wrong way round. For 0 the reading has less than a tenth of
-    the input's amplitude.
+    the input's amplitude. `faults` act as in `check_known_input`.
     """
     return {check.channel: check.polarity for check in check_known_input(config, faults)}
 
