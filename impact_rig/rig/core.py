@@ -241,7 +241,7 @@ class Rig:
 
     @property
     def frequency_hz(self) -> float:
-        """Drive frequency [Hz] at the frontier, the first time that is not yet simulated."""
+        """Commanded drive frequency [Hz] at the frontier; for a chirp, always its first frequency."""
         return float(self._generator.frequency_hz)
 
     @property
