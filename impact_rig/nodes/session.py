@@ -646,7 +646,8 @@ class Session:
         """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
 
         The rig does not wait for peers that are silent now until they acknowledge again, nor for the samples that a
-        silent controller has not sent. A rig that is not paused and waits for neither is not affected.
+        silent controller has not sent. Waiting requests to pause are answered with an error, and so are those for steps
+        unless the time mode is `lockstep`. A rig that is not paused and waits for neither is not affected.
 
         Raises:
             CommandError: no rig has started.

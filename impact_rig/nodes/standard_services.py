@@ -140,7 +140,10 @@ class StandardServices:
             self._session.pause(lambda success, message: self._stop(success, message, done))
 
     def _stop(self, success: bool, message: str, done: Done) -> None:
-        """Reset the rig after a pause with this result, so that it counts as stopped; answer the request by `done`."""
+        """Reset the rig if its pause succeeded, so that it counts as stopped, and answer the request by `done`.
+
+        If the pause failed, or the rig rejects the reset, the answer is an error.
+        """
         try:
             if success:
                 self._reset_rig(stop=True)
