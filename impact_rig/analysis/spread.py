@@ -149,7 +149,7 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
     n = len(deviation)
     if n < 4 or not np.all(np.isfinite(deviation)):
         return Behaviour(Regime.UNKNOWN, float("nan"), float("nan"), steady=False)
-    spread = float(np.sqrt(np.mean(np.abs(deviation - deviation.mean()) ** 2)))
+    spread = rms_deviation(deviation)
     limit = max(NOISE_FACTOR * noise_variance, tolerance**2)
     parts = np.ascontiguousarray(deviation, np.complex128).view(np.float64).reshape(n, 2)
     period, steady = shortest_period(parts, np.ascontiguousarray(strikes), limit, min(LONGEST_PERIOD, n // 4))
@@ -159,6 +159,11 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
     telling = strikes @ np.exp(2j * phases) if steady else deviation
     regime = Regime.MODULATED if _line_share(telling) >= LINE_SHARE else Regime.CHAOTIC
     return Behaviour(regime, float("nan"), spread, steady)
+
+
+def rms_deviation(values: Complex) -> float:
+    """Return the rms deviation of values from their mean."""
+    return float(np.sqrt(np.mean(np.abs(values - values.mean()) ** 2)))
 
 
 @entry(REALS_2D, BYTES_2D, float, int, returns=(int, bool))

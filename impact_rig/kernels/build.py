@@ -61,7 +61,7 @@ OUTPUT, HEADER, OBJECT = "_library.abi3.so", "impact_rig.h", "impact_rig.o"
 OTHER_SOURCES = ("emit.py", "kernels.c", "library.c")
 PARTS = {
     "mechanics": ("physics.simulation", "physics.function_generator", "rig.interlock", "rig.monitors", "rig.truth"),
-    "instruments": ("instruments.chain", "analysis.tracker", "codec"),
+    "instruments": ("instruments.chain", "analysis.tracker", "analysis.convergence", "codec"),
 }
 """Parts of the kernels, which are translated in parallel: for each, the modules whose import declares its entries."""
 CPUS = {"x86_64": "x86-64", "aarch64": "generic", "arm64": "generic"}

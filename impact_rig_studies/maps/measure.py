@@ -15,7 +15,8 @@
 
 The record has one row per cycle of the drive: the complex amplitudes of both bases at the drive frequency, and position
 and velocity of the sphere at the start of the cycle. A motion that approaches a periodic one has settled when the rest
-of its transient, estimated as a geometric series, is negligible, and still is some cycles later.
+of its transient, estimated as a geometric series, is negligible (`analysis.convergence`), and still is some cycles
+later.
 
 If a motion does not settle, `analysis.spread.classify` judges its regime by the amplitude of the superior base and the
 impacts. These may look periodic though the sphere moves chaotically. Therefore the largest Lyapunov exponent is
@@ -37,10 +38,11 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rig.analysis.calibration import Real
+from impact_rig.analysis.calibration import Complex, Real
+from impact_rig.analysis.convergence import mark_strikes, settled_period
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.settings import TrackerSettings
-from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify
+from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify, rms_deviation
 from impact_rig.blocks import joined
 from impact_rig.config.fields import integer, quantity
 from impact_rig.errors import SimulationError
@@ -53,9 +55,7 @@ from impact_rig_studies.maps import exponent
 CHUNK = 24  # number of cycles examined together, for a response that repeats after up to six cycles
 _PART = CHUNK // 2  # number of cycles at the end of these from which such a response is measured
 _FIRST = 2 * CHUNK  # number of cycles before the first check: hardly any response has settled earlier
-LASTING = 0.98  # difference in the later half of a record over that in the earlier one, above which it does not decay
 TINY = 1e-12  # smallest scale of a coordinate
-_ROUNDING = 1e-9  # relative change of a cycle that counts as none
 WEAK = 0.02
 """Approach speed, relative to the fastest impact, below which impacts are settling bounces.
 
@@ -99,7 +99,7 @@ class Settings:
 
 
 class Reading(NamedTuple):
-    """Motion measured at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
+    """Settled motion at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
 
     regime: str
     """Regime of the motion: periodic, modulated, chaotic, intermittent or `FAILED`.
@@ -132,17 +132,16 @@ class _Record(NamedTuple):
     def last(self, n: int) -> _Record:
         """Return a record of the last n cycles alone, or of all if there are fewer."""
         before = max(0, len(self.cycles) - n)
-        later = self.cycle >= before
-        return _Record(self.cycles[before:], self.cycle[later] - before, self.turn[later], self.speed[later])
+        first = int(self.cycle.searchsorted(before))  # impacts are in the order of time
+        return _Record(self.cycles[before:], self.cycle[first:] - before, self.turn[first:], self.speed[first:])
 
     def then(self, other: _Record) -> _Record:
         """Return one record of these cycles followed by those of `other`, which directly continues it."""
-        later = other._replace(cycle=other.cycle + len(self.cycles))
         return _Record(
-            joined([self.cycles, later.cycles]),
-            np.concatenate([self.cycle, later.cycle]),
-            np.concatenate([self.turn, later.turn]),
-            np.concatenate([self.speed, later.speed]),
+            joined([self.cycles, other.cycles]),
+            np.concatenate([self.cycle, other.cycle + len(self.cycles)]),
+            np.concatenate([self.turn, other.turn]),
+            np.concatenate([self.speed, other.speed]),
         )
 
 
@@ -234,8 +233,9 @@ class MapRig:
         record = self._run(frequency_hz, amplitude, _FIRST)
         while True:
             last = record.last(CHUNK)
-            behaviour = _settled(last, frequency_hz, settings)
-            if behaviour and self._stays(frequency_hz, amplitude, last):
+            period = _settled(last, frequency_hz, settings)
+            if period and self._stays(frequency_hz, amplitude, last):
+                behaviour = Behaviour(Regime.PERIODIC, float(period), rms_deviation(_deviation(last)), steady=True)
                 found = _reading(last.last(_PART), behaviour, self._config, frequency_hz)
                 # whole for an orbit, although an impact at the border of a cycle may count on either side
                 whole = round(found.impacts_per_cycle * found.period)
@@ -259,20 +259,18 @@ class MapRig:
         if drifts or self._drifts(last):
             behaviour = attrs.evolve(behaviour, regime=Regime.INTERMITTENT, period=math.nan)
         else:
-            period = _long_period(last, frequency_hz, settings)
-            if sign == 0 and (behaviour.regime is not Regime.CHAOTIC or period is not None):
+            long_period = _long_period(last, frequency_hz, settings)
+            if sign == 0 and (behaviour.regime is not Regime.CHAOTIC or long_period):
                 sign = self._parting(frequency_hz, amplitude, recent)
                 leaving = sign > 0 and _leaves(record, frequency_hz)
             if sign > 0 and not leaving:
                 behaviour = attrs.evolve(behaviour, regime=Regime.CHAOTIC, period=math.nan)
-            elif sign < 0 and period:
-                behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(period))
+            elif sign < 0 and long_period:
+                behaviour = attrs.evolve(behaviour, regime=Regime.PERIODIC, period=float(long_period))
         return _reading(last, behaviour, self._config, frequency_hz), leaving
 
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
-        """Return whether a motion that seems to have settled still seems so `_PART` cycles later.
-
-        It is also True without impacts, or if the sphere is in contact.
+        """Return whether a motion that seems to have settled still seems so `_PART` cycles later; True without impacts.
 
         A chaotic motion that varies by less than the tolerance seems to settle now and then. The rig is returned to its
         present state after this check.
@@ -282,7 +280,7 @@ class MapRig:
             return True
         later = record.then(self._run(frequency_hz, amplitude, _PART)).last(CHUNK)
         self.simulation.set_state(before)
-        return _settled(later, frequency_hz, self._settings) is not None
+        return _settled(later, frequency_hz, self._settings) > 0
 
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
         """Return the sign of the largest Lyapunov exponent of the present motion.
@@ -358,7 +356,7 @@ class MapRig:
         motion, period = self.run_cycles(frequency_hz, amplitude, cycles), 1.0 / frequency_hz
         hits = motion.impacts
         cycle = np.maximum(hits["tick"] - motion.first_tick, 0)  # an impact that began earlier is reported now
-        return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"])
+        return _Record(motion.cycles(), cycle, hits["offset"] / period, hits["approach_speed"].copy())
 
 
 def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
@@ -393,41 +391,16 @@ def _leaves(record: _Record, frequency_hz: float) -> bool:
     return False
 
 
-def _settled(record: _Record, frequency_hz: float, settings: Settings) -> Behaviour | None:
-    """Return the behaviour of a motion that has settled to a periodic one, or None if it has not (yet).
-
-    It has settled if every number of a cycle changes from one period to the next by at most `settle_tolerance`, and all
-    further changes, extrapolated as a geometric series, are together at most that large.
-    """
-    series = _series(record, frequency_hz)
-    if series is None:
-        return None
-    longest = min(LONGEST_PERIOD, CHUNK // 4)
-    near = np.abs(series[:, -1:] - series[:, -2 : -2 - longest : -1]).max(axis=0) <= settings.settle_tolerance
-    for period in (np.flatnonzero(near) + 1).tolist():
-        change = np.abs(series[:, period:] - series[:, :-period])
-        half = change.shape[1] // 2
-        early, late = change[:, :half].max(axis=1), change[:, half:].max(axis=1)
-        moving = late > _ROUNDING
-        ratio = (late[moving] / early[moving]) ** (period / half)
-        with np.errstate(divide="ignore"):
-            left = np.where(ratio < 1.0, late[moving] * np.maximum(1.0, ratio / (1.0 - ratio)), np.inf)
-        if np.all(left <= settings.settle_tolerance):
-            behaviour = _behaviour(record, settings)
-            if behaviour.period == period:
-                return behaviour
-            if not math.isfinite(behaviour.period) or period % int(behaviour.period):
-                return None
-            # the structure repeats earlier: either the sphere does so in the end, or it never will
-            shorter = np.abs(series[:, int(behaviour.period) :] - series[:, : -int(behaviour.period)])
-            half = shorter.shape[1] // 2
-            lasts = shorter[:, half:].max() > LASTING * shorter[:, :half].max()
-            return attrs.evolve(behaviour, period=float(period)) if lasts else None
-    return None
+def _settled(record: _Record, frequency_hz: float, settings: Settings) -> int:
+    """Return the number of cycles after which a motion that has settled repeats, 0 if it has not settled (yet)."""
+    rows = record.cycles.view(np.float64).reshape(len(record.cycles), -1)
+    omega, longest = 2.0 * np.pi * frequency_hz, min(LONGEST_PERIOD, CHUNK // 4)
+    tolerances = settings.settle_tolerance, settings.periodic_tolerance
+    return settled_period(rows, _strikes(record), omega, *tolerances, longest, np.empty_like(rows))
 
 
-def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int | None:
-    """Return the number of drive cycles, up to `LONGEST_LOOKED`, after which the motion repeats, or None.
+def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int:
+    """Return the number of drive cycles, up to `LONGEST_LOOKED`, after which the motion repeats, or 0.
 
     `classify` considers only short periods. Here x_1 and the sphere must repeat within `periodic_tolerance`.
     """
@@ -440,7 +413,7 @@ def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> in
         apart = np.abs(series[:, -period:] - series[:, -2 * period : -period]) / sizes
         if apart.max() <= settings.periodic_tolerance:
             return int(period)
-    return None
+    return 0
 
 
 def _strong(record: _Record) -> NDArray[np.bool_]:
@@ -449,16 +422,21 @@ def _strong(record: _Record) -> NDArray[np.bool_]:
     return np.asarray(record.speed >= WEAK * record.speed.max())
 
 
-def _behaviour(record: _Record, settings: Settings) -> Behaviour:
-    n = len(record.cycles)
-    strikes = np.zeros((n, PHASE_BINS), np.uint8)
-    strong = _strong(record)
-    strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
+def _strikes(record: _Record) -> NDArray[np.uint8]:
+    strikes = np.empty((len(record.cycles), PHASE_BINS), np.uint8)
+    mark_strikes(record.cycle, record.turn, record.speed, WEAK, strikes)
+    return strikes
+
+
+def _deviation(record: _Record) -> Complex:
+    """Return the deviation of x_1 from its mean in each cycle, relative to the mean; NaN if the mean is zero."""
     superior = record.cycles["x_1"]
     mean = superior.mean()
-    if mean == 0.0:
-        return classify(np.full(n, np.nan, np.complex128), 0.0, settings.periodic_tolerance, strikes)
-    return classify(superior / mean - 1.0, 0.0, settings.periodic_tolerance, strikes)
+    return np.asarray(superior / mean - 1.0 if mean else np.full(len(superior), math.nan + 0.0j))
+
+
+def _behaviour(record: _Record, settings: Settings) -> Behaviour:
+    return classify(_deviation(record), 0.0, settings.periodic_tolerance, _strikes(record))
 
 
 def _reading(record: _Record, behaviour: Behaviour, config: RigConfig, frequency_hz: float) -> Reading:
