@@ -208,7 +208,7 @@ class Accumulator:
         """Fit the oldest `count` complete cycles, remove them from the accumulator, and return their fits.
 
         Raises:
-            ValueError: fewer than `count` cycles are complete.
+            ValueError: `count` is below 1, or fewer than `count` cycles are complete.
         """
         if not 0 < count <= self.pending_cycles:
             raise ValueError(f"count must be 1 to {self.pending_cycles}, got {count}")

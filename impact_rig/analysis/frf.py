@@ -329,7 +329,10 @@ def transmissibility_frf(
 
 
 def _periodic(x: Real, segment: int) -> bool:
-    """Return whether an excitation repeats from segment to segment, so that no power leaks between lines."""
+    """Return whether an excitation repeats from segment to segment, so that no power leaks between lines.
+
+    A record of less than two segments gives False.
+    """
     if 2 * segment > len(x):
         return False
     return bool(np.std(x[segment:] - x[:-segment]) <= REPEATS * np.std(x))

@@ -398,7 +398,7 @@ class Judge:
     def _noise(self, ratio: float) -> float:
         """Return the standard uncertainty of X_1 / X_b = `ratio` due to the noise in the mean of `windows` windows.
 
-        The noise is that of the newest window.
+        The noise is that of the newest window. If the base does not move or `ratio` is not finite, it is infinite.
         """
         window = self._windows[-1]
         per_channel = self._noise_per_scan

@@ -315,7 +315,7 @@ class Tracker:
 
     @property
     def state(self) -> TrackerState:
-        """Present state: `word` (settling, measuring, …), `reason`, and `since_ns`, the rig time of its begin [ns]."""
+        """Present state: `word` (settling, measuring, …), `reason`, and the rig time of its start, `since_ns` [ns]."""
         return self._state
 
     def flush(self, *, take_unsettled: bool = False) -> Findings:
@@ -567,8 +567,9 @@ class Tracker:
     def _quiet(self, scan: int) -> ImpactPause:
         """Return the wait for a sphere at a scan: the time without impacts so far, and how long it may delay a row.
 
-        Without a label of the gap, the first impact proves that there is a sphere; the wait is then `wait_limit_s`,
-        because its flight distance is unknown. If impacts cannot be counted, there is no wait.
+        With a label, the wait is the time to cross the gap at `slowest_speed`, at most `wait_limit_s`, and 0 for a gap
+        of 0. Without a label, the first impact proves that there is a sphere; the wait is then `wait_limit_s`, because
+        its flight distance is unknown. If impacts cannot be counted, there is no wait.
         """
         assert self._calibration is not None
         never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)

@@ -63,7 +63,7 @@ def _text(number: float, spec: str) -> str:
 
 
 def plus_minus(value: float, u: float) -> str:
-    """Return a value with its expanded uncertainty as text, for example "63.57 ± 0.32"."""
+    """Return `value ± 2u` as text, for example "63.57 ± 0.32", where `u` is the standard uncertainty."""
     return " ± ".join(rounded(value, u))
 
 
@@ -127,7 +127,7 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 
 
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
-    """Return the relative standard uncertainty of a channel's gain due to the curve of its sensor.
+    """Return the relative standard uncertainty of a channel's gain because its sensor is not exactly linear.
 
     `amplitude` is that of the vibration, in the unit of the channel.
     """

@@ -208,7 +208,8 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 def write_assembly(keep: Path, folder: Path) -> None:
     """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
-    `keep` is the folder for the translated kernels, see `translated`.
+    There is one file for each part of the kernels and each machine of `RELEASED`; `folder` must not exist yet. `keep`
+    is the folder for the translated kernels, see `translated`.
     """
     found = translated(keep)
     folder.mkdir()
@@ -221,7 +222,7 @@ def write_assembly(keep: Path, folder: Path) -> None:
 
 
 def _prototype(name: str) -> str:
-    """Return the declaration in C of the function that the library exports under this name of a kernel.
+    """Return the C declaration of the function that the library exports for the kernel `name`.
 
     WebAssembly requires the exact types of each function.
     """

@@ -48,7 +48,7 @@ class Blockwise:
     needs: ClassVar[tuple[str, ...]]  # the channels that it requires
 
     def feed(self, scan: Table) -> Table | None:
-        """Return the results of the next block of `daq/scan` as a table of `topic`; None if this block completes none.
+        """Process the next block of `daq/scan`; return the results that it completes as a table of `topic`, or None.
 
         Blocks arrive in the order of their stamps.
         """
