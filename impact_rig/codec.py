@@ -422,7 +422,7 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
             found[path] = cursor.text(path)
             continue
         if kind not in _PRIMITIVES:
-            raise CodecError(f"{path} must be a number or a single string, got {count} x {kind}")
+            raise CodecError(f"{path} must hold numbers or a single string, got {count} x {kind}")
         if not 0 < count <= len(data):  # a definition may contain any count
             raise CodecError(f"{path} must have 1 to {len(data)} values in a message of that many bytes, got {count}")
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")

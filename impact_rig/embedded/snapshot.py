@@ -117,4 +117,7 @@ def _name_of(pointer: Any) -> str:
     for name in kernels.exported:
         if kernels.address(name) == pointer.address:
             return name
-    raise ConfigError("a rig without Python needs a contact law of this package, whose force the kernels contain")
+    raise ConfigError(
+        "contact.law is not a law of this package: a rig without Python (FMU, browser) needs one, whose force the compiled "
+        "kernels contain"
+    )

@@ -619,7 +619,9 @@ def run_files(path: Path) -> list[Path]:
         )
     found = listed or mcap_files(path) or sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap.zstd"))
     if not found:
-        raise RecordingError(f"{path} holds no *.mcap file, so it is not a recording")
+        below = sorted({file.parent.name for file in path.glob("*/*.mcap")})
+        remedy = f"; name one of the recordings in it: {', '.join(below)[:300]}" if below else ""
+        raise RecordingError(f"{path} holds no *.mcap file, so it is not a recording{remedy}")
     return found
 
 

@@ -95,7 +95,10 @@ def _value(key: str, value: object, kind: object) -> object:
             )
         return found
     if kind == "tuple[float, ...]":
-        if not isinstance(value, list) or not all(isinstance(one, (int, float)) for one in value):
+        numbers = isinstance(value, list) and all(
+            isinstance(one, (int, float)) and not isinstance(one, bool) for one in value
+        )
+        if not numbers:
             raise ConfigError(f"{key} must be a list of numbers, got {str(value)[:60]!r}")
         return tuple(float(one) for one in value)
     if kind in ("Response", "str"):
@@ -127,10 +130,10 @@ def history(
             `channel` of a run.
         channel: default channel of a run; None means current.
         unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
-            states, or else `wanted`. It is ignored for a run, whose values are in SI units.
+            states, or else `wanted`. It is an error for a run, whose values are in SI units.
         scale: factor by which the values are multiplied.
         file_hz: number of samples per second of a file that states neither times nor a rate. It is an error for any
-            other file, and ignored for a run.
+            other file, and for a run.
 
     Returns:
         The samples, shape (n,).
@@ -141,7 +144,10 @@ def history(
         BudgetError: the result would have too many samples.
     """
     if path.is_dir() or path.suffix == ".mcap":
-        values, found_hz, unit = *_of_run(path, name or channel or "current"), ""
+        if unit or file_hz is not None:
+            option = "--unit" if unit else "--file-rate"
+            raise ConfigError(f"{path}: a run states the units and the rate of its channels: omit {option}")
+        values, found_hz = _of_run(path, name or channel or "current")
     else:
         values, found_hz, unit = _of_file(path, name, unit, file_hz)
     if unit:
@@ -171,8 +177,10 @@ def history(
 def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
     with open_run(path) as run:
         tables = list(run.tables(topics.SCAN, recorded_order=True))
-    if not tables or name not in (tables[0].rows.dtype.names or ()):
-        channels = ", ".join(tables[0].rows.dtype.names or ()) if tables else "none, as it contains no scans"
+    if not tables:
+        raise RecordingError(f"{path}: the run contains no scans, so there is no signal to play")
+    if name not in (tables[0].rows.dtype.names or ()):
+        channels = ", ".join(tables[0].rows.dtype.names or ())
         raise ConfigError(f"{path} has no channel {name!r}; choose one by --signal NAME: {channels}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])

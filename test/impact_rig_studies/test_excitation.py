@@ -249,6 +249,7 @@ def test_an_invalid_plan_is_rejected_with_key_and_file(tmp_path, text, says):
         ("{frequency_hz: [5, 10, 20], density: [1, 1]}", "spectrum needs two corners or more: .* as many values"),
         ("{frequency_hz: [10, 5], density: [1, 1]}", "spectrum needs two corners or more: ascending"),
         ("1", "spectrum: a mapping is needed"),
+        ("{frequency_hz: [true, 10], density: [1, 1]}", "spectrum: frequency_hz must be a list of numbers"),
     ],
 )
 def test_an_invalid_spectrum_is_rejected_with_its_key(tmp_path, text, says):
@@ -304,6 +305,13 @@ def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
     whole = [("daq/info", rig.info()), *scans]
     record(tmp_path / "whole", whole)
     assert len(history(tmp_path / "whole", 2_000, "A")) == 4_000
+    with pytest.raises(ConfigError, match="a run states the units and the rate of its channels: omit --unit"):
+        history(tmp_path / "whole", 2_000, "A", unit="mA")
+    with pytest.raises(ConfigError, match="omit --file-rate"):
+        history(tmp_path / "whole", 2_000, "A", file_hz=100.0)
+    record(tmp_path / "empty", whole[:1])
+    with pytest.raises(RecordingError, match="contains no scans"):
+        history(tmp_path / "empty", 2_000, "A")
     record(tmp_path / "holed", whole[:50] + whole[51:])
     with pytest.raises(RecordingError, match="must have no gap"):
         history(tmp_path / "holed", 2_000, "A")

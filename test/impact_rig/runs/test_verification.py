@@ -278,7 +278,9 @@ def test_verify_analyze_info_and_export_accept_a_complete_run(
     assert main(["export", run, "shaker/applied", str(tmp_path / "applied.csv")]) == 0
     assert (tmp_path / "applied.csv").read_text().count("\n") > 3
     assert main(["verify", str(tmp_path)]) == 1
-    assert "holds no *.mcap file" in " ".join(capsys.readouterr().err.split())
+    assert "holds no *.mcap file, so it is not a recording; name one of the recordings in it: run" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_a_run_is_analysed_with_its_recorded_settings(complete_run: Messages, tmp_path: Path) -> None:
