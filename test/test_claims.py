@@ -149,8 +149,10 @@ def uncertainty_at_6_mm() -> str:
 
 def difference_from_the_closed_form() -> str:
     dt, u = transmissibility(0.0)
-    assert abs(dt - abs(complex(linear_response.transmissibility(RigConfig(), FREQUENCY_HZ)))) < 2.0 * u
-    return f"{100.0 * 2.0 * u / dt:.1f} % (2u)"
+    difference = abs(dt / abs(complex(linear_response.transmissibility(RigConfig(), FREQUENCY_HZ))) - 1.0)
+    stated = 2.0 * u / dt
+    assert difference < stated
+    return f"{100.0 * difference:.1f} %, which is less than the uncertainty of the measured DT: {100.0 * stated:.1f} % (2u)"
 
 
 def at_10_mm() -> str:

@@ -118,6 +118,6 @@ def _name_of(pointer: Any) -> str:
         if kernels.address(name) == pointer.address:
             return name
     raise ConfigError(
-        "contact.law is not a law of this package: a rig without Python (FMU, browser) needs one, whose force the compiled "
-        "kernels contain"
+        "contact.law is not a law of this package: a rig without Python (FMU, browser) needs one, whose force the "
+        "compiled kernels contain"
     )
