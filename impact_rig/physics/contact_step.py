@@ -167,26 +167,31 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
     z is the small motion of the structure that the indentation causes through the force of the columns; h is the step's
     length in χ.
     """
-    z, slope = step.correction, step.correction_slope
+    z, slope, w = step.correction, step.correction_slope, step.w
+    force_z = slope[X1]  # scratch until it is filled
+    # constants first: the compiler must assume that storing a result changes them
+    k_1, c_1, per_m_pair, is_driven = p.k_1, p.c_1, p.per_m_pair, p.drive_kind != PRESCRIBED
     for j in range(STAGES):
-        force_z = p.k_1 * (step.w[j] * step.w[j] - z[X1, j] + z[XB, j]) + p.c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
-        slope[V1, j] = step.w[j] * force_z * p.per_m_pair
-        if p.drive_kind != PRESCRIBED:
-            force_z_base = p.force_factor * z[COIL, j] - p.c_f * z[VB, j] - p.k_f * z[XB, j] - force_z
-            slope[VB, j] = step.w[j] * force_z_base * p.per_m_base
+        force_z[j] = k_1 * (w[j] * w[j] - z[X1, j] + z[XB, j]) + c_1 * (step.speed[j] - z[V1, j] + z[VB, j])
+        slope[V1, j] = w[j] * force_z[j] * per_m_pair
+    if is_driven:
+        force_factor, c_f, k_f, per_m_base = p.force_factor, p.c_f, p.k_f, p.per_m_base
+        for j in range(STAGES):
+            force_z_base = force_factor * z[COIL, j] - c_f * z[VB, j] - k_f * z[XB, j] - force_z[j]
+            slope[VB, j] = w[j] * force_z_base * per_m_base
     _integrate(step, V1, h)
     for j in range(STAGES):
-        slope[X1, j] = step.w[j] * z[V1, j]
+        slope[X1, j] = w[j] * z[V1, j]
     _integrate(step, X1, h)
-    if p.drive_kind != PRESCRIBED:
+    if is_driven:
         _integrate(step, VB, h)
         for j in range(STAGES):
-            slope[XB, j] = step.w[j] * z[VB, j]
+            slope[XB, j] = w[j] * z[VB, j]
         _integrate(step, XB, h)
     if p.drive_kind == VOLTAGE:
         for j in range(STAGES):
             voltage = -p.resistance * z[COIL, j] - p.force_factor * z[VB, j]
-            slope[COIL, j] = step.w[j] * voltage * p.per_inductance
+            slope[COIL, j] = w[j] * voltage * p.per_inductance
         _integrate(step, COIL, h)
 
 
@@ -349,14 +354,11 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 @kernel
 def _evaluate_acceleration(p: Record, step: Record) -> None:
     """Fill in a_r, which presses sphere and wall together, at the stages, with the part due to the correction z."""
+    z, k_1, c_1, share_per_m_1 = step.correction, p.k_1, p.c_1, p.share * p.per_m_1
     for i in range(STAGES):
-        step.acceleration_at[i] = step.acceleration[step.terms - 1]
-    for n in range(step.terms - 2, -1, -1):
-        for i in range(STAGES):
-            step.acceleration_at[i] = step.acceleration_at[i] * step.since[i] + step.acceleration[n]
-    z, share_per_m_1 = step.correction, p.share * p.per_m_1
+        step.acceleration_at[i] = polynomial(step.acceleration, step.since[i], step.terms)
     for i in range(STAGES):
-        step.acceleration_at[i] += share_per_m_1 * (p.k_1 * (z[X1, i] - z[XB, i]) + p.c_1 * (z[V1, i] - z[VB, i]))
+        step.acceleration_at[i] += share_per_m_1 * (k_1 * (z[X1, i] - z[XB, i]) + c_1 * (z[V1, i] - z[VB, i]))
 
 
 @kernel
@@ -367,15 +369,14 @@ def _evaluate_slopes(p: Record, law: CompiledForce, s: Record, step: Record) -> 
     wall together, counts as constant in these derivatives.
     """
     law.at_stages(p, s.per_v0, step)
+    by_depth, by_speed, per_m_eff = p.slowing_by_depth, p.slowing_by_speed, p.per_m_eff
     for i in range(STAGES):
         w, speed = step.w[i], step.speed[i]
-        from_columns = p.slowing_by_depth * w * w + p.slowing_by_speed * speed
-        depth_acceleration = step.acceleration_at[i] - from_columns - step.force[i] * p.per_m_eff
+        from_columns = by_depth * w * w + by_speed * speed
+        depth_acceleration = step.acceleration_at[i] - from_columns - step.force[i] * per_m_eff
         step.speed_slope[i] = w * depth_acceleration
-        step.speed_slope_by_w[i] = depth_acceleration - w * (
-            step.force_by_w[i] * p.per_m_eff + 2.0 * p.slowing_by_depth * w
-        )
-        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * p.per_m_eff + p.slowing_by_speed)
+        step.speed_slope_by_w[i] = depth_acceleration - w * (step.force_by_w[i] * per_m_eff + 2.0 * by_depth * w)
+        step.speed_slope_by_speed[i] = -w * (step.force_by_speed[i] * per_m_eff + by_speed)
 
 
 @kernel
@@ -432,20 +433,23 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 
     If a change is not finite, the result is infinity, and the caller tries another length of the step.
     """
+    start_speed, change = s.speed, step.correction_slope[X1]  # the latter is scratch
     for i in range(STAGES):
         residual = h * step.speed_slope[i]
         for j in range(STAGES):
-            residual += INVERSE[i, j] * (s.speed - step.speed[j])
+            residual += INVERSE[i, j] * (start_speed - step.speed[j])
         step.residual[i] = residual
+    for i in range(STAGES):
+        total = 0.0
+        for j in range(STAGES):
+            total += step.newton[i, j] * step.residual[j]
+        change[i] = total
     largest = 0.0
     for i in range(STAGES):
-        change = 0.0
-        for j in range(STAGES):
-            change += step.newton[i, j] * step.residual[j]
-        if not abs(change) < math.inf:  # also for NaN, which `max` would ignore
+        if not abs(change[i]) < math.inf:  # also for NaN, which `max` would ignore
             return math.inf
-        step.speed[i] += change
-        largest = max(largest, abs(change))
+        step.speed[i] += change[i]
+        largest = max(largest, abs(change[i]))
     return largest
 
 

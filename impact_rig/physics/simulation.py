@@ -26,7 +26,7 @@ from impact_rig.arithmetic.elementary import TWO_PI
 from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.blocks import joined
 from impact_rig.errors import SimulationError
-from impact_rig.kernels import for_kernels, records, room, with_fields
+from impact_rig.kernels import for_kernels, room, with_fields
 from impact_rig.physics import contact as contact_laws
 from impact_rig.physics.contact.law import raise_failure
 from impact_rig.physics.contact_step import force_at, turned_at
@@ -52,7 +52,6 @@ from impact_rig.physics.state import (
     ATTACHED,
     COIL,
     CONTACT,
-    CONTACT_STEP,
     COUNTS,
     FREE,
     IMPACT,
@@ -479,9 +478,8 @@ class Simulation:
         return record_
 
     def _begin(self, y: NDArray[np.float64]) -> None:
-        self._work = self._work._replace(
-            states=records(2, STATE), step=records(1, CONTACT_STEP), ledger=records(1, LEDGER)
-        )
+        for rows in (self._work.states, self._work.step, self._work.ledger):
+            rows.view(np.uint8)[:] = 0  # as bytes: NumPy fills records field by field
         self._work.states[0]["y"][:] = y
         self._put_sphere(_PLACES[self._config.sphere.start] * self._model.parameters[0].half_gap, 0.0)
         self._stored = self.stored_energy() if y.any() else 0.0  # the sphere is at rest
@@ -491,11 +489,11 @@ class Simulation:
 
         If the guide has friction, a sphere at rest is held and a sliding one is braked.
         """
-        p, s = self._model.parameters[0], self._state
-        s.phase, s.side, s.slide, s.d, s.d_rate = FREE, 0.0, 0.0, d, d_rate
-        if p.friction_acceleration > 0.0 and p.sphere_present:
-            s.phase = FREE if d_rate else ATTACHED
-            s.slide = np.sign(d_rate)
+        p, s = self._model.parameters[0], self._work.states[0]
+        s["phase"], s["side"], s["slide"], s["d"], s["d_rate"] = FREE, 0.0, 0.0, d, d_rate
+        if p["friction_acceleration"] > 0.0 and p["sphere_present"]:
+            s["phase"] = FREE if d_rate else ATTACHED
+            s["slide"] = np.sign(d_rate)
 
     def _structure(self) -> NDArray[np.float64]:
         """Return the structural state y = (x_1, v_1, x_b, v_b, i) in any phase, SI, shape (STRUCTURE,)."""
