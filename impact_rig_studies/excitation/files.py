@@ -95,10 +95,9 @@ def _value(key: str, value: object, kind: object) -> object:
             )
         return found
     if kind == "tuple[float, ...]":
-        numbers = isinstance(value, list) and all(
-            isinstance(one, (int, float)) and not isinstance(one, bool) for one in value
-        )
-        if not numbers:
+        if not isinstance(value, list) or any(
+            isinstance(one, bool) or not isinstance(one, (int, float)) for one in value
+        ):
             raise ConfigError(f"{key} must be a list of numbers, got {str(value)[:60]!r}")
         return tuple(float(one) for one in value)
     if kind in ("Response", "str"):
