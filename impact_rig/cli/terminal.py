@@ -200,5 +200,5 @@ def tell_results(directory: Path, content: Mapping[str, object], *, as_json: boo
 
 
 def tell_program(path: Path) -> None:
-    """Print a path as the last line: unchanged for a program that reads it, on a terminal with visible characters."""
+    """Print a path as the last line: unchanged for a program, but with control characters escaped on a terminal."""
     print(visible(str(path)) if sys.stdout.isatty() else path)  # noqa: T201  # a command line tool talks

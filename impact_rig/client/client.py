@@ -67,7 +67,7 @@ class Received:
         sequence: DDS publication sequence number; each publisher numbers its messages without gaps.
         received_system_ns: system time at which the callback ran [ns since 1970]; comparable with stamps of a rig in
             real time.
-        table: decoded table; None on a topic without tables.
+        table: decoded table; None on a topic without tables, and on a topic of `listen`.
     """
 
     data: Any
@@ -133,7 +133,10 @@ class Collector:
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all tables received, one after the other; shape (n,), with n = 0 before the first."""
+        """Return the rows of all tables received, one after the other; shape (n,), with n = 0 before the first.
+
+        Before the first table on a topic of `listen`, whose columns are unknown, it raises an AssertionError.
+        """
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
             f"{self.topic.name}: no table received; does this topic carry tables?"
@@ -507,7 +510,7 @@ class Client:
         return node
 
     def evict(self, node: Any) -> None:
-        """Remove a node that this client hosts from its executor, and destroy the node.
+        """Destroy a node that this client hosts, after its removal from the client's executor.
 
         Args:
             node: a node from `host`.
@@ -639,9 +642,9 @@ class Client:
         self.publish(topics.NOTES, String(data=text))
 
     def step(self, blocks: int | None = None, timeout_s: float = START_TIMEOUT_S) -> str:
-        """Advance a rig that is in lockstep or paused by one step.
+        """Advance a rig by one step; the rig must be in lockstep or paused.
 
-        It returns when the blocks of the step are published and every peer has acknowledged them.
+        The call returns when the blocks of the step are published and every peer has acknowledged them.
 
         Args:
             blocks: number of blocks of a step: the rig's parameter `step.blocks` is set to it, for later steps, too.
@@ -649,7 +652,7 @@ class Client:
             timeout_s: time limit [s], by default 240: the first step may have to compile the physics.
 
         Returns:
-            The rig's answer.
+            The message in the rig's answer.
 
         Raises:
             ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or a peer does not
@@ -860,8 +863,8 @@ class Client:
     ) -> Collector:
         """Subscribe to any topic, such as an output of the pipeline under test, and keep all its messages.
 
-        Message type and reliability are those of the topic's first publisher, which must be running. Tables are kept as
-        in `collect`.
+        Message type and reliability are those of the topic's first publisher. `tables()` decodes the messages of a
+        topic with tables; unlike in `collect`, invalid ones are kept, and then raise a CodecError.
 
         Args:
             name: topic name, relative to the namespace or absolute.
@@ -924,8 +927,8 @@ class Client:
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
         """Wait until a publisher is connected with the subscribers of its topic, including the node `listener`.
 
-        It waits at most `timeout_s`; `publish` describes the arguments. A publisher that was connected once is not
-        checked again, also for another `listener`.
+        `publish` describes the arguments and errors. A publisher that was connected once is not checked again, not even
+        for another `listener`.
         """
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)
@@ -933,7 +936,7 @@ class Client:
             self._matched.add(publisher)
 
     def _receive_applied(self) -> None:
-        """Receive the changes of the drive applied before this client started, so that none counts as a new command's.
+        """Receive the changes of the drive applied before this client started, so that none is taken for a new one.
 
         It waits at most 1 s, because a rig that has not started has applied none.
         """
@@ -976,7 +979,10 @@ class Client:
                 )
 
     def _troubles(self) -> str:
-        """Return possible causes of a timeout, in parentheses: messages of unhealthy nodes, or that no node reports."""
+        """Return possible causes of a timeout, in parentheses: messages of unhealthy nodes, or that no node reports.
+
+        The text is empty if all nodes are healthy.
+        """
         if not self.diagnostics:
             return f" (no node has reported in ROS domain {self.domain_id})"
         bad = [f"{name}: {status.message}" for name, status in self.diagnostics.items() if status.level != b"\0"]

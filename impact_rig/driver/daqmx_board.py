@@ -373,7 +373,8 @@ class Board:
             unit: unit of the values.
 
         Raises:
-            DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind.
+            DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind, or
+                `limits` are not ascending.
         """
         task.must_be_idle()
         if task.kind not in {"", kind}:
@@ -549,7 +550,7 @@ class Board:
             task: the task; it is started if it was not, unless its `auto_starts` is false. A task without a clock is
                 stopped again after the read.
             count: samples per channel; a negative count means all that are left of a finite task, or all that a
-                continuous one has acquired.
+                continuous one has acquired and not yet returned, but no more than `most`.
             most: largest number of samples per channel that the client accepts.
             timeout_s: longest wait [s]; a negative value means no limit.
             goes_on: returns whether the client still waits for the answer.
@@ -607,8 +608,9 @@ class Board:
     ) -> int:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
-        Before the start, samples are added to the buffer. While the task runs, they replace older samples in a buffer
-        that the output repeats; otherwise they follow the samples that are still to be played.
+        Before the start, samples are added to the buffer; if it is full, its oldest are dropped. While the task runs,
+        they replace older samples in a buffer that the output repeats; otherwise they follow the samples that are still
+        to be played.
 
         Args:
             task: the task.

@@ -168,13 +168,13 @@ class Service:
 
     @_served
     def CreateAIVoltageChan(self, request: Any, context: Any) -> None:
-        """Add input channels to a task whose values are in volts."""
+        """Add input channels to a task; their values are in volts."""
         self._must_be(request, "units", {VOLTS})
         self._add(request, "ai")
 
     @_served
     def CreateAIAccelChan(self, request: Any, context: Any) -> None:
-        """Add input channels to a task whose values are accelerations, computed with the sensitivity in the request."""
+        """Add input channels to a task; their values are accelerations by the sensitivity in the request."""
         units = self._must_be(request, "units", set(ACCELERATIONS))
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:

@@ -53,7 +53,7 @@ _HIDDEN = ("time.", "instruments.faults")  # not useful in a report; listed as t
 
 
 class NotReachedError(ImpactRigError, AssertionError):
-    """Timeout of `RigDriver.wait_until`: the condition was not met within the given rig time."""
+    """Timeout of `RigDriver.wait_until`, in rig time; an `AssertionError` for tests, and not a `TimeoutError`."""
 
 
 class NoSamplesError(ImpactRigError, TimeoutError):
@@ -86,7 +86,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Reentrant lock that a thread cannot take again before one that waits for it, so that none waits for ever."""
+    """Fair reentrant lock: a thread that has released it gets it again only after one that already waits for it."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -190,7 +190,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault, which starts at its `start_sample`, and return the number of the fault.
+        """Add an instrument fault, which starts at its `start_sample`, and return its number, from 1.
 
         Raises:
             ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
@@ -202,7 +202,8 @@ class RigDriver(abc.ABC):
 
         Args:
             first: number of the first of these samples, counted from scan 0 at the rate of the stream.
-            samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
+            samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there. Samples that
+                arrive too late are dropped, and counted as `late` in `stream_level`.
 
         Raises:
             CommandError: the rig rejects the samples, or its shaker is stopped.
@@ -344,6 +345,7 @@ class RigDriver(abc.ABC):
 
         Raises:
             impact_rig.driver.NotReachedError: the condition did not become true in time; an `ImpactRigError`.
+            TimeoutError: as for `step`.
         """
         begin, blocks = self.time_s, max(1, math.ceil(every_s * self.rate_hz / self.block_scans - 1e-9))
         while not condition():
@@ -524,7 +526,7 @@ class RigDriver(abc.ABC):
         return "\n".join(lines)
 
     def first_scan(self, table: Table) -> int:
-        """Return the number of the first scan of a block, from 0 at the start or reset.
+        """Return the number of the first scan of a block, from 0 at the start or reset; negative if it is older.
 
         Args:
             table: a table of `daq/scan`, whose stamp gives the number.

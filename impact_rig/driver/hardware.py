@@ -60,8 +60,8 @@ class AnalogOutput:
     """Buffered output: the rig plays the samples that are written, without a gap between the calls that write them.
 
     Args:
-        rig: rig with `drive.waveform: stream`; tables that it publishes while a call waits are dropped, except
-            calibrations, commands and journal.
+        rig: rig with `drive.waveform: stream`; calls drop the tables that it keeps, except calibrations, commands and
+            journal.
         buffer_s: longest time by which samples are written ahead of the rig [s], which is the latency of a controller
             (default: `drive.stream_buffer_s`).
         raise_underrun: whether `write` raises `UnderrunError` when samples were not written in time, so that the rig
@@ -121,8 +121,8 @@ class AnalogOutput:
         """Begin to play the samples written so far, and return the number of the first of them, counted from scan 0.
 
         Args:
-            lead_s: time from the first sample that is neither played nor written yet to the first one played by this
-                call [s] (default: the shortest with which that one arrives in time, `rig.lead_s`).
+            lead_s: pause before the first of these samples [s of rig time], after all samples that were played or
+                sent before (default: the shortest with which that sample arrives in time, `rig.lead_s`).
         """
         rig = self._rig
         with rig.turns:
@@ -143,7 +143,7 @@ class AnalogOutput:
 
         Args:
             samples: samples [A, m or V by `drive.kind`], shape (n,).
-            timeout_s: longest wait for space in the buffer [s].
+            timeout_s: longest wait for space in the buffer [s of wall time].
 
         Returns:
             Number of samples since the last call that came too late to be played; always 0 with `raise_underrun`.
@@ -233,8 +233,7 @@ class Acquisition:
     """Buffered input: it keeps the scans of a rig from the start until they are read.
 
     Args:
-        rig: rig to read; tables that it publishes while a call waits are dropped, except calibrations, commands and
-            journal.
+        rig: rig to read; calls drop the tables that it keeps, except calibrations, commands and journal.
         buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
 
     Attributes:
@@ -296,7 +295,7 @@ class Acquisition:
 
         Args:
             count: number of scans.
-            timeout_s: longest time without a new scan [s].
+            timeout_s: longest time without a new scan [s of wall time].
 
         Returns:
             Rows with a field for each channel, shape (count,); fewer if some of these scans were lost.
@@ -346,8 +345,8 @@ class Hardware:
     """Analog output and acquisition of one rig, for a program that plays samples and reads the response.
 
     Args:
-        rig: rig with `drive.waveform: stream`; tables that it publishes while a call waits are dropped, except
-            calibrations, commands and journal.
+        rig: rig with `drive.waveform: stream`; calls drop the tables that it keeps, except calibrations, commands and
+            journal.
         abort: largest absolute reading that is allowed, in the unit of its channel, by channel. A larger reading raises
             a `CommandError` in the call that receives it; the output continues.
 

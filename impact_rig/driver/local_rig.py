@@ -211,7 +211,8 @@ class LocalRig(RigDriver):
     def reset(self) -> None:
         """Start again at scan 0 with everything at rest, as the service `rig/reset` does.
 
-        Stamps of rig time continue, so no stamp is used twice.
+        The present configuration stays, injected faults end, and kept tables stay. Stamps of rig time continue, so no
+        stamp is used twice.
 
         Raises:
             CommandError: the shaker is stopped, which a reset must not clear.
@@ -239,7 +240,7 @@ class LocalRig(RigDriver):
         return number
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig (`drive.waveform: stream`), and record them.
+        """Send samples of the stream that drives the rig (`drive.waveform: stream`); a recording contains them.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -279,7 +280,7 @@ class LocalRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans, and the last 100 injected ones."""
+        """Instrument faults that the configuration plans, and the last 100 injected ones, even if they have ended."""
         return [*super().faults, *self._injected]
 
     def save(self, directory: str | Path) -> Path:

@@ -336,7 +336,7 @@ class RosRig(RigDriver):
         return found
 
     def listen(self, topic: str) -> Collector:
-        """Collect all messages of any topic that has a publisher, from now on.
+        """Collect all messages of one topic from now on; it may be any topic that has a publisher.
 
         Args:
             topic: name of the topic, relative to the rig's namespace or absolute.

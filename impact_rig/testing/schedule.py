@@ -211,7 +211,10 @@ class LocalRigWithNodes(LocalRig):
         return self._collectors[topic]
 
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
-        """Publish a message to the hosted nodes, as another node would do; None as `qos` means that of commands."""
+        """Publish a message to the hosted nodes, as another node would do; None as `qos` means that of commands.
+
+        Callbacks for it run in the next `step`, or at once if a callback sends it.
+        """
         self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
 
     def send_data(self, topic: str, data: object) -> None:
@@ -229,7 +232,10 @@ class LocalRigWithNodes(LocalRig):
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance rig time by whole blocks; after each, run the callbacks of hosted nodes that are due."""
+        """Advance rig time by whole blocks; after each, run the callbacks of hosted nodes that are due.
+
+        An exception of a callback ends the call; a callback that does not return raises `BlockedError`.
+        """
         if not self._hosted:
             super().step(blocks, timeout_s)
             self._flush()

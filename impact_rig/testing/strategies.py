@@ -98,7 +98,7 @@ class Pause:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Advance the rig by these blocks."""
+        """Advance the rig by `blocks` blocks."""
         rig.step(self.blocks)
 
 
@@ -109,7 +109,7 @@ class Silence:
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Advance the rig by these blocks with a command timeout of half of them."""
+        """Advance the rig by `blocks` blocks; meanwhile, a command times out after half of this rig time."""
         before = rig.config.output.command_timeout_s
         seconds = self.blocks * rig.block_scans / rig.rate_hz
         rig.configure({"output.command_timeout_s": 0.5 * seconds})
@@ -124,7 +124,7 @@ class Reset:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Reset the rig after the callbacks."""
+        """Let the rig be reset after `after` further callbacks of the hosted nodes."""
         with_nodes(rig).after(self.after, with_nodes(rig).reset)
 
 
@@ -138,7 +138,7 @@ class LateJoin:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Advance the rig by these blocks."""
+        """Advance the rig by `blocks` blocks."""
         rig.step(self.blocks)
 
 
@@ -150,7 +150,7 @@ class Delay:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Hold the source's callbacks back."""
+        """Hold the callbacks of `source` back for `blocks` blocks."""
         with_nodes(rig).hold(self.source, self.blocks)
 
 
@@ -162,7 +162,7 @@ class First:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Run the source's callbacks before all others."""
+        """Run the callbacks of `source` before all others for `blocks` blocks."""
         with_nodes(rig).prefer(self.source, self.blocks)
 
 
@@ -173,7 +173,7 @@ class Burst:
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Hold the callbacks of all messages and timers back."""
+        """Hold the callbacks of all messages and timers back for `blocks` blocks."""
         for source in ("messages", "timers"):
             with_nodes(rig).hold(source, self.blocks)
 
@@ -186,7 +186,7 @@ class Duplicate:
     count: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Deliver the next messages twice."""
+        """Deliver the next `count` messages of the topic twice."""
         with_nodes(rig).duplicate(self.topic, self.count)
 
 
@@ -198,7 +198,7 @@ class Drop:
     count: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Drop the next messages."""
+        """Drop the next `count` messages of the topic at subscriptions that are best effort."""
         with_nodes(rig).drop(self.topic, self.count)
 
 
@@ -211,7 +211,7 @@ class SetParameter:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Change the parameter of the hosted nodes after the callbacks."""
+        """Let the parameter of the hosted nodes be changed after `after` further callbacks."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).set_parameter(self.name, self.value))
 
 
@@ -224,7 +224,7 @@ class Send:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Send the message to the hosted nodes after the callbacks."""
+        """Let the message be sent to the hosted nodes after `after` further callbacks."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).send_data(self.topic, self.data))
 
 
@@ -236,7 +236,7 @@ class Call:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Call the hosted nodes' service after the callbacks."""
+        """Let the hosted nodes' service be called after `after` further callbacks."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).call(self.service))
 
 
