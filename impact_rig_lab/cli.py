@@ -112,7 +112,9 @@ def add_command(commands: Commands) -> None:
         help="output folders of `impact-rig dynamics continue` over frequency; the page draws their branches with the "
         "curve of DT while the rig has the settings for which they were computed",
     )
-    parser.add_argument("--no-record", action="store_true", help="record only on request from the page")
+    parser.add_argument(
+        "--no-record", action="store_true", help="record only on request from the page (default: from the start)"
+    )
     parser.add_argument(
         "--output",
         type=Path,

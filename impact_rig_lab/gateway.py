@@ -483,6 +483,9 @@ class Gateway:
 
         Args:
             value: content of a ROS 2 parameter file.
+
+        Raises:
+            ImpactRigError: the file is invalid, or the rig rejects the changes.
         """
         wanted = to_flat(from_flat(RigConfig(), parameters_in(value)))
         present = to_flat(from_flat(RigConfig(), self.record.knobs))
@@ -521,7 +524,7 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine or a phase lock on the rig.
+        """Start a stepped sine or a phase lock on the rig, with its present current, or 0.52 A if that is 0 or unknown.
 
         If the node that runs it is absent, a lab that has started the rig starts this node first.
 
@@ -559,6 +562,8 @@ class Gateway:
 
     async def do_note(self, value: str) -> str:
         """Publish a remark of the operator, so that it is recorded with the run and shown on the pages.
+
+        If a recorder runs but is not recording, the remark is only shown, and the answer says so.
 
         Raises:
             Refused: the remark is empty, or no recorder is running.

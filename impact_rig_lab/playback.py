@@ -315,7 +315,7 @@ class RunPlayer:
         return times[place - 1] - self.offset_s if place else None
 
     def histogram(self) -> list[int]:
-        """Return the number of true impacts in each of `BINS` equal parts of the run, for its time line."""
+        """Return the number of true impacts in each of `BINS` equal parts of the run, as far as it has been read."""
         times: NDArray[np.float64] = np.array(list(self._impacts))
         return [int(n) for n in np.histogram(times, BINS, (self.begin_s, max(self.end_s, self.begin_s + 1e-3)))[0]]
 

@@ -186,8 +186,8 @@ class RigHistory:
     """History of a rig: journal, faults and remarks as lines of text for the page, and its state at past times.
 
     Args:
-        most: number of newest journal entries kept, from which past states are derived: what only older entries set
-            then has its default. None means that all entries and all lines are kept.
+        most: number of newest journal entries kept. Past states are derived from these: a parameter that only older
+            entries set has its default there. None means that all entries and all lines are kept.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:

@@ -92,7 +92,7 @@ class ScopeLevel:
         return [slice(first, last)] if first < last else [slice(first, self.size), slice(0, last)]
 
     def blank(self, begin: int, end: int) -> None:
-        """Set the pairs with numbers begin to end − 1 to NaN, and their status bits to 0."""
+        """Set the minima and maxima with the numbers begin to end − 1 to NaN, and their status bits to 0."""
         for place in self.places(begin, end):
             self.low[:, place] = self.high[:, place] = np.nan
             self.status[place] = 0
@@ -232,7 +232,7 @@ class Scope:
     def _crossing(self, begin: int) -> float:
         """Return the number of the last scan before scan `begin` at which the current crosses zero upwards.
 
-        Returns NaN if there is none in the quarter of a second before, or if the current is too small.
+        Returns NaN if there is none in the quarter of a second before, or if the current stays below 0.01 A there.
         """
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
         found = self._read(low, begin + 1)[CURRENT]

@@ -587,7 +587,10 @@ class Server:
     # Recorded runs
 
     def runs(self) -> list[Path]:
-        """Return the directories of the recorded runs that a page may play, newest first, at most `MOST_RUNS`."""
+        """Return the recorded runs that a page may play: the newest directories with MCAP files in the folder of runs.
+
+        They are at most `MOST_RUNS`, the last changed one first; none if the server has no such folder.
+        """
         if self._runs is None:
             return []
         found: dict[Path, float] = {}

@@ -211,7 +211,9 @@ class Pace:
         return self.speed <= FOLLOWED
 
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
-        """Add a reading of the rig time, and return the present speed; 0 if the rig time has not changed for 3 s.
+        """Add a reading of the rig time, and return its present speed (rig seconds per real second).
+
+        The speed is 0 if the rig time has not changed for 3 s of real time.
 
         Args:
             rig_s: rig time [s].
@@ -258,10 +260,10 @@ SIZE_NAMES = {
 def _fault_form(kind: str) -> dict[str, Any]:
     """Return the content of the page's input form for a kind of instrument fault.
 
-    The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it has a
-    rate) and `sizes` by channel; a fault of all channels has its size under an empty name. A size has a name, a default
-    in the `unit` of the page, and `scale`, the size of this unit in the unit of the rig. If a kind of fault has no
-    size, `sizes` is empty.
+    The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it
+    occurs repeatedly, at a mean rate) and `sizes` by channel; a fault of all channels has its size under an empty name.
+    A size has a name, a default in the `unit` of the page, and `scale`, the size of this unit in the unit of the rig.
+    If a kind of fault has no size, `sizes` is empty.
     """
     words = FAULT_KINDS[kind]
     sizes: dict[str, dict[str, Any]] = {}
@@ -415,6 +417,8 @@ class Source(abc.ABC):
 
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
         """Update the snapshot with the results of functions, and request the prediction for the present settings.
+
+        The prediction is requested only while a page is open.
 
         If a function fails, the failure is counted, and the other parts are updated all the same.
 

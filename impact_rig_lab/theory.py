@@ -246,7 +246,10 @@ class Theory:
             pass
 
     def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
-        """Compute the prediction for a request when no other one is running; drop it if there is a newer request."""
+        """Compute the prediction for a request when no other one is running, and pass it on, or its error as a text.
+
+        A request is dropped if there is a newer one, before or after the computation.
+        """
         lower_priority()
         with self._computing:
             if wish is not self._newest:

@@ -170,7 +170,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return NodeState(words.RUNNING if self._operator.busy else words.DONE)
 
     def health(self) -> tuple[Level, str]:
-        """Return level and text for diagnostics: progress or abort of the sweep, or what prevents its start."""
+        """Return level and text for diagnostics: progress or abort of the sweep, or what prevents its start.
+
+        The text is the lifecycle state if the node is not active.
+        """
         if self.state != "active":
             return Level.WARN, self.state
         if self._pending:
@@ -183,7 +186,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         return Level.OK, sweep.describe()
 
     def figures(self) -> Mapping[str, object]:
-        """Return numbers about the running or last sweep by name, for the diagnostics; empty if there was no sweep."""
+        """Return numbers about the running or last sweep by name, for the diagnostics.
+
+        It is empty if the node is not active, has had no sweep, or waits to begin one.
+        """
         if self.state != "active" or self._pending or self._operator is None:
             return {}
         return self._operator.run.figures()

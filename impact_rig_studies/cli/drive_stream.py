@@ -145,6 +145,8 @@ def _progress() -> Console:
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
     """Run a test on a rig, record it, write and print its results even if it ends early, and return the exit code.
 
+    The code is 1 if the test ended early or has no result, else 0.
+
     Args:
         arguments: parsed arguments of the test.
         title: title of the results.

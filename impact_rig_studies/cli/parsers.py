@@ -189,7 +189,7 @@ def add_import(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="table of the drive commands, with the columns time [s] or stamp_ns, frequency [Hz] and, if known, "
-        "current [A] (default: one command at the first scan)",
+        "current [A] (default: one at each change of the frequency signal, or else one at the first scan)",
     )
     parser.add_argument(
         "--calibration",
@@ -198,7 +198,9 @@ def add_import(commands: Commands) -> None:
         help="table of the instruments' calibration: columns of daq/info, one row per channel (default: properties "
         "estimated from the data where possible, and else instruments without errors)",
     )
-    parser.add_argument("--note", action="append", default=[], metavar="TEXT", help="remark for the run; repeatable")
+    parser.add_argument(
+        "--note", action="append", default=[], metavar="TEXT", help="remark for each run (default: none); repeatable"
+    )
     parser.add_argument(
         "--campaign", action="store_true", help="combine the runs into one campaign, for report and identify"
     )

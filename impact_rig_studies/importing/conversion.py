@@ -401,7 +401,8 @@ def _with_amplitude(
 ) -> Iterator[tuple[int, float, float]]:
     """Yield the drive commands with missing amplitudes estimated from the measured `values` of the drive.
 
-    The estimate is √2 times the standard deviation of the values from the command to the next one.
+    The estimate is √2 times the standard deviation of the values from the command to the next one. Without
+    values there, the amplitude remains NaN.
     """
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):

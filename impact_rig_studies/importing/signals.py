@@ -93,7 +93,7 @@ class Signal:
 
     @property
     def rate_hz(self) -> float | None:
-        """Samples per second according to the file; None if it states none."""
+        """Samples per second that the file states; None if it states none, even if it lists times."""
         step = self.abscissa.step
         return 1.0 / step if self.abscissa.kind is AbscissaKind.TIME and step else None
 

@@ -312,7 +312,7 @@ def colour(gap_m: float) -> str:
 
 
 def curve(curves: Curves, gap_m: float) -> list[Point]:
-    """Return the settled points with a gap at the paper's frequencies, ascending."""
+    """Return the settled points with a gap at the paper's frequencies, as far as measured, in their ascending order."""
     return [point for frequency in FREQUENCIES_HZ if (point := curves.at(gap_m, frequency)) is not None]
 
 

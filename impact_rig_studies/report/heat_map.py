@@ -130,7 +130,10 @@ def _drawn(
 
 
 def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the borders of the cells around the values of an axis, shape (n + 1,), halfway between neighbours."""
+    """Return the borders of the cells around n ≥ 2 values of an axis, shape (n + 1,), halfway between neighbours.
+
+    An outer value lies in the middle of its cell.
+    """
     middle = 0.5 * (x[1:] + x[:-1])
     return np.concatenate([[1.5 * x[0] - 0.5 * x[1]], middle, [1.5 * x[-1] - 0.5 * x[-2]]])
 

@@ -48,7 +48,7 @@ class Hdf5Tree:
     _values: int = 0  # number of values read so far
 
     def open(self, content: bytes) -> Any:
-        """Return the h5py file for the content of an HDF5 file, which is also its root group."""
+        """Open the content of an HDF5 file as an h5py file, which is also its root group; the caller closes it."""
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:

@@ -42,7 +42,7 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the channels of numbers in all groups of a TDMS file as signals; a file without any gives none.
+    """Read the channels of numbers in all groups of a TDMS file as signals; the result may have none.
 
     Other channels are left out, with the reason for the user.
 
