@@ -85,7 +85,7 @@ class ScopeLevel:
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return the positions in the ring of pairs `begin` to `end` − 1: one slice, or two if they pass its end."""
+        """Return the positions in the ring of pairs `begin` to `end` − 1: none, one slice, or two at its end."""
         if end <= begin:
             return []
         first, last = begin % self.size, (end - 1) % self.size + 1

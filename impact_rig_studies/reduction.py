@@ -111,9 +111,9 @@ def _steps(rows: NDArray[np.void]) -> float:
 
 @attrs.frozen
 class Damper:
-    """Added mass and loss factor of a damper at one frequency, both relative to the structure's mass m_1."""
+    """Added mass and loss factor of a damper at one frequency, relative to the mass m_1, with their uncertainties."""
 
-    added_mass: float  # force in phase with the displacement over ω² m_1 X_1: the apparent added mass
+    added_mass: float  # in units of m_1: force in phase with the displacement over ω² m_1 X_1
     loss_factor: float  # energy lost per cycle over 2π · ½ m_1 ω² X_1²
     u_added_mass: float  # standard uncertainty of `added_mass`
     u_loss_factor: float  # standard uncertainty of `loss_factor`

@@ -168,6 +168,7 @@ def frf(
 def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], bool]:
     """Return the indices of the excited lines of a power spectrum, never index 0, and whether the excitation is a sine.
 
+    Excited lines have at least `EXCITED` of the power of the strongest line, and `ABOVE_NOISE` times that of the noise.
     It is a sine if all excited lines are so close to the strongest one that the window alone explains their width; then
     only the index of the strongest is returned. `floor` is the power density of the noise.
     """

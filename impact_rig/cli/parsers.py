@@ -309,7 +309,7 @@ def add_recover(commands: Commands) -> None:
     parser.add_argument(
         "--accept-unchecked",
         action="store_true",
-        help="also save chunks without a checksum, as written by rosbag2, which may be damaged",
+        help="also save chunks, messages, attachments and metadata without a checksum; they may be damaged",
     )
 
 

@@ -437,7 +437,10 @@ class Exchange:
 
 
 def _refresh(rig: RigDriver) -> None:
-    """Process what has arrived from a rig that runs by itself, and `clear` the rig; no effect on other rigs."""
+    """Process what has arrived from a rig whose time advances without `step`, and free the tables that it keeps.
+
+    The listeners of the rig receive what has arrived. There is no effect on other rigs.
+    """
     if rig.runs_by_itself:
         rig.poll()
         rig.clear()

@@ -132,7 +132,7 @@ class LocalRig(RigDriver):
         self._injected: deque[Fault] = deque(maxlen=KEPT_FAULTS)
         if unknown := next((topic for topic in also if topic not in TYPES), ""):
             raise ConfigError(
-                f"unknown topic {unknown!r} in `also`"
+                f"unknown topic {unknown!r} in the argument `also`"
                 + did_you_mean(unknown, TYPES, ", did you mean {!r}?", f": the topics are {', '.join(sorted(TYPES))}")
             )
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))

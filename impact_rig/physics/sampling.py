@@ -478,7 +478,7 @@ def _quantities_in_contact(
     solved_there: bool,
     out: Reals,
 ) -> None:
-    """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s; `step` is expanded there.
+    """Fill `out` with all QUANTITIES at a point of a contact's step, which begins at s; `step` is expanded about s.
 
     `point` is (time since the start of the step [s], w, δ'), with w the square root of the indentation δ.
     `solved_there` is true if the step has been solved to end at the point. Only then is the effect of the indentation

@@ -78,7 +78,7 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             yield _joined(tables, earlier, origin_ns)
             tables, earlier, waiting = [], [], 0
     if dtype is None:
-        raise RecordingError(f"topic {topic} has no message in this recording, so its columns are unknown")
+        raise RecordingError(f"topic {topic} has no message in this recording: choose another topic")
     if tables:
         yield _joined(tables, earlier, origin_ns or 0)
 

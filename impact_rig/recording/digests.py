@@ -47,7 +47,7 @@ class Digests:
         self._metadata = _new()
 
     def add_topic(self, channel: Channel, schema: Schema | None) -> None:
-        """Start the digest of a topic with its definition; call this before its first message."""
+        """Start the digest of a topic with its definition; its messages added before this call are ignored."""
         digest = _new()
         _add(digest, channel.topic, channel.message_encoding, json.dumps(channel.metadata, sort_keys=True))
         if schema is not None:

@@ -123,7 +123,7 @@ class TaskStore(Generic[T]):
         return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
-        """Return the fingerprint of the code that determines results; results with another one are measured again."""
+        """Return the fingerprint of the code that determines the results of this study; other code has another one."""
         return code_fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:

@@ -378,7 +378,10 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
     )
     parser.add_argument(
-        "--file-rate", type=float, metavar="HZ", help="samples per second of a file without times and without a rate"
+        "--file-rate",
+        type=float,
+        metavar="HZ",
+        help="samples per second of a file without times and without a rate; else not allowed",
     )
 
 

@@ -567,7 +567,7 @@ def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) 
     if reading.regime == FAILED:
         raise SimulationError(UNRESOLVED)
     if not math.isfinite(reading.period):
-        raise SimulationError(f"the motion is {reading.regime}")
+        raise SimulationError(f"the motion does not repeat: it is {reading.regime}")
     one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
     if one is None:
         raise SimulationError("the motion repeats, but Newton's method does not converge to an orbit near it")

@@ -276,7 +276,7 @@ class Stroboscope:
         return -later
 
     def _coordinates(self) -> Real:
-        """Return the coordinates of the present state; NaN if the sphere is in contact with a wall."""
+        """Return the scaled free coordinates of the present state; all are NaN while the sphere touches a wall."""
         state = self._simulation.state()
         return np.full(len(self._free), math.nan) if state is None else state[self._free] / self.scale
 

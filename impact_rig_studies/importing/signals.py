@@ -63,7 +63,7 @@ class Abscissa:
     note: str = ""  # assumption of the reader, as text; empty if none
 
     def __str__(self) -> str:
-        """Return a description for the user, such as `time from 0 s, step 0.001 s`."""
+        """Return a description of the times or frequencies for the user, such as `time from 0 s, step 0.001 s`."""
         if self.kind is AbscissaKind.NONE:
             return "no times and no rate"
         unit = "s" if self.kind is AbscissaKind.TIME else self.unit

@@ -162,7 +162,7 @@ def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory
 
 
 def _lag_deg(phase_rad: ArrayLike) -> NDArray[np.float64]:
-    """Return phases in degrees for drawing, from -270 to 90: a lead of more than 90 is shown as a lag."""
+    """Return phases of −π to π in degrees for drawing, above -270 up to 90: a lead above 90 is shown as a lag."""
     degrees = np.degrees(phase_rad)
     return np.where(degrees > 90.0, degrees - 360.0, degrees)
 

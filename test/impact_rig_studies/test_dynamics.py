@@ -485,11 +485,11 @@ def test_an_unresolvable_motion_does_not_affect_the_other_tasks(kind, words, stu
 ABSENT = {
     "orbit": (
         "set: {barriers.gap_m: 0.032}\norbit: {starts: [left, centre]}",
-        "no orbit from left: the motion is chaotic",
+        "no orbit from left: the motion does not repeat: it is chaotic",
     ),
     "continue": (
         "continue: {over: gap_m, from: 0.007, to: 0.022, at: [0.008, 0.020], points: 3}",
-        "no orbit from gap_m 0.008, left: the motion is chaotic",
+        "no orbit from gap_m 0.008, left: the motion does not repeat: it is chaotic",
     ),
     "section": ("section: {starts: [left, centre], cycles: 3}", "no section from left: the motion cannot be simulated"),
 }
@@ -523,7 +523,7 @@ def test_a_start_without_an_orbit_or_a_section_is_reported_and_not_in_the_legend
 def test_a_study_with_only_chaotic_starts_has_no_result(tmp_path, capsys):
     (tmp_path / "study.yaml").write_text("set: {barriers.gap_m: 0.008}\norbit: {}")
     assert main(["dynamics", "orbit", str(tmp_path / "study.yaml"), "--output", str(tmp_path / "out")]) == 1
-    assert "no orbit from left: the motion is chaotic" in capsys.readouterr().out
+    assert "no orbit from left: the motion does not repeat: it is chaotic" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("kind", ["orbit", "continue", "exponent"])

@@ -30,6 +30,7 @@ from impact_rig_studies.importing import readers
 from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.conversion import convert
 from impact_rig_studies.importing.mapping import refined
+from impact_rig_studies.importing.readers.bag import is_bag
 from impact_rig_studies.importing.store import write
 
 pytest.importorskip("rosbags")
@@ -269,3 +270,10 @@ def test_a_truncated_bag_is_an_error(tmp_path: Path, storage: str, left: float) 
 def test_a_folder_without_a_bag_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ImpactRigError, match=r"its suffix must be one of|is a directory"):
         readers.read(tmp_path)
+
+
+def test_a_directory_with_a_bag_in_capital_letters_is_a_bag(tmp_path: Path) -> None:
+    assert not is_bag(tmp_path)
+    (tmp_path / "X.MCAP").touch()
+    assert is_bag(tmp_path)
+    assert is_bag(tmp_path / "X.MCAP")

@@ -53,7 +53,7 @@ MOST_ELEMENTS = 32  # longest array in a message; each element is a signal
 def is_bag(path: Path) -> bool:
     """Return whether a path is a file with a suffix of bags, or a directory with such a file or a `metadata.yaml`."""
     if path.is_dir():
-        return any(one.name == "metadata.yaml" or one.suffix in SUFFIXES for one in path.iterdir())
+        return any(one.name == "metadata.yaml" or one.suffix.lower() in SUFFIXES for one in path.iterdir())
     return path.suffix.lower() in SUFFIXES
 
 

@@ -145,7 +145,7 @@ def test_a_topic_that_is_not_kept_is_rejected_with_a_list_of_those_that_are(star
     ("given", "message"),
     [
         ({"analysis": {"window": 8}}, "unknown setting 'window' of the analysis, did you mean 'windows'?"),
-        ({"also": ["truth/scans"]}, "unknown topic 'truth/scans' in `also`, did you mean 'truth/scan'?"),
+        ({"also": ["truth/scans"]}, "unknown topic 'truth/scans' in the argument `also`, did you mean 'truth/scan'?"),
     ],
 )
 def test_an_unknown_setting_or_topic_is_rejected(given: dict[str, Any], message: str) -> None:
