@@ -311,7 +311,9 @@ class Tracker:
         """
         if self._accumulator is None:
             return None
-        progress, quiet = self._judge.progress, self._quiet(self._measured - 1)
+        ahead = self._detector.timed(joined([NO_IMPACTS, *self._impacts_ahead]))["scan"]  # in no finished window yet
+        struck = float(ahead[-1]) if len(ahead) else self._struck
+        progress, quiet = self._judge.progress, self._quiet(self._measured - 1, struck)
         noticed_s = max(NOTICED_S, NOTICED_CYCLES / self._judge.frequency_hz)
         if self._state.word != AnalysisWord.SETTLING or quiet.since_s < noticed_s:
             return progress
@@ -551,7 +553,7 @@ class Tracker:
             window = self._counted(accumulator.take(self._window), accumulator)
             last = int(window.first[-1] + window.samples[-1]) - 1
             self._judged = last
-            found = self._judge.add(window, self._quiet(last))
+            found = self._judge.add(window, self._quiet(last, self._struck))
             if found:
                 self._emit(found, last)
             elif self._judge.late and self._state.word == AnalysisWord.MEASURING:
@@ -568,18 +570,20 @@ class Tracker:
         soon = self._added + math.ceil(ADD_S * self._rate)
         self._due = min(soon, accumulator.end(self._window))
 
-    def _quiet(self, scan: int) -> ImpactPause:
+    def _quiet(self, scan: int, struck: float) -> ImpactPause:
         """Return the wait for a sphere at a scan: the time without impacts so far, and how long it may delay a row.
+
+        The last impact was at the scan `struck`; NaN means that there was none.
 
         With a label, the wait is the time to cross the gap at `slowest_speed`, at most `wait_limit_s`, and 0 for a gap
         of 0. Without a label, the first impact proves that there is a sphere; the wait is then `wait_limit_s`, because
         its flight distance is unknown. If impacts cannot be counted, there is no wait.
         """
         assert self._calibration is not None
-        never, unknown = math.isnan(self._struck), math.isnan(self._gap_m)
+        never, unknown = math.isnan(struck), math.isnan(self._gap_m)
         if self._gap_m == 0.0 or (never and unknown) or not counts_impacts(self._calibration):
             return ImpactPause()
-        since = (scan + 1 - (self._placed if never else max(self._placed, self._struck))) / self._calibration.rate_hz
+        since = (scan + 1 - (self._placed if never else max(self._placed, struck))) / self._calibration.rate_hz
         limit_s = self._settings.wait_limit_s
         return ImpactPause(since, limit_s if unknown else min(limit_s, self._gap_m / self._settings.slowest_speed))
 

@@ -384,6 +384,15 @@ def test_progress_never_exceeds_its_total_and_mentions_a_wait_for_the_sphere():
     assert {progress.reason for _, progress, word in seen if word != "settling"} == {""}
 
 
+@pytest.mark.parametrize("window_s", [0.5, 2.0])
+def test_progress_mentions_no_wait_for_a_sphere_that_strikes_regularly(window_s):
+    """Impacts since the last finished window count, too: nothing is awaited however long a window is."""
+    made = tracker(gap_m=0.006, tracker_settings=TrackerSettings(window_s=window_s))
+    for block in blocks(struck(record(seconds=7.0), (np.arange(126) + 0.3) / 18.2), RATE, 20):
+        made.feed(block)
+        assert made.progress is None or made.progress.reason == ""
+
+
 def test_regular_impacts_do_not_extend_the_wait():
     rows = struck(record(seconds=7.0), (np.arange(126) + 0.3) / 18.2)
     row = feed_all(tracker(gap_m=0.006), blocks(rows, RATE, 20))[0][0].rows[0]
