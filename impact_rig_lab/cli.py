@@ -248,8 +248,8 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if held is None:
         raise ImpactRigError(
-            f"the lab of process {files.holder(files.PLACES, f'{name}.lab')} already uses the namespace {namespace}: "
-            f"{advice}"
+            f"another lab, process {files.holder(files.PLACES, f'{name}.lab')}, already runs in the namespace "
+            f"{namespace}: stop it, {advice}"
         )
     stack.callback(os.close, held)
     rig = files.hold(files.PLACES, name)
@@ -257,7 +257,8 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if rig is None:
         raise ImpactRigError(
-            f"the rig of process {files.holder(files.PLACES, name)} already uses the namespace {namespace}: {advice}"
+            f"another rig, process {files.holder(files.PLACES, name)}, already runs in the namespace "
+            f"{namespace}: stop it, {advice}"
         )
     os.close(rig)  # released, so that the rig that is started now can take it
 

@@ -147,7 +147,7 @@ def test_a_second_lab_is_rejected_and_the_end_of_the_pipe_ends_a_lab(tmp_path: P
                 command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
             )
             assert second.returncode == 1
-            words = f"the lab of process {first.pid} already uses the namespace /bench/two: open its page with --attach"
+            words = f"another lab, process {first.pid}, already runs in the namespace /bench/two: stop it, open"
             assert words in second.stderr.decode()
             assert len(second.stderr.splitlines()) == 1
             with Client(domain_id, "bench/two", name="observer") as client:
