@@ -25,31 +25,11 @@ import math
 
 from impact_rig.analysis.spread import LONGEST_PERIOD, shortest_period
 from impact_rig.arithmetic.elementary import modulus, power
-from impact_rig.kernels import BYTES_2D, INTEGERS, REALS, REALS_2D, Bytes, Integers, Reals, entry, kernel
+from impact_rig.kernels import BYTES_2D, REALS_2D, Bytes, Reals, entry, kernel
 
 LASTING = 0.98  # difference in the later half of a record over that in the earlier one, above which it does not decay
 _QUANTITIES = 4  # x_b, x_1, x_2 and v_2
 _ROUNDING = 1e-9  # relative change of a cycle that counts as none
-
-
-@entry(INTEGERS, REALS, REALS, float, BYTES_2D)
-def mark_strikes(cycle: Integers, turn: Reals, speed: Reals, weak: float, strikes: Bytes) -> None:
-    """Fill `strikes`, shape (cycles, bins), with 1 for each cycle and part of it with an impact, and 0 elsewhere.
-
-    Args:
-        cycle: cycle of each impact.
-        turn: time of each impact since the beginning of its cycle, in periods.
-        speed: approach speed of each impact [m/s].
-        weak: approach speed, relative to the fastest impact, below which an impact does not count.
-        strikes: the result.
-    """
-    strikes[:, :] = 0
-    fastest = 0.0
-    for i in range(speed.shape[0]):
-        fastest = max(fastest, speed[i])
-    for i in range(speed.shape[0]):
-        if speed[i] >= weak * fastest:
-            strikes[cycle[i], int(turn[i] * strikes.shape[1]) % strikes.shape[1]] = 1
 
 
 @entry(REALS_2D, BYTES_2D, float, float, float, int, REALS_2D, returns=int)
@@ -60,7 +40,7 @@ def settled_period(
 
     Args:
         rows: Re x_b, Im x_b, Re x_1, Im x_1, x_2 and v_2 of each cycle, SI, shape (n, 6).
-        strikes: phases of the impacts, as from `mark_strikes`.
+        strikes: 1 for each cycle and part of it with an impact, 0 elsewhere, shape (n, parts).
         omega: angular frequency of the drive [rad/s].
         tolerance: largest relative change per period, and largest sum of all further changes.
         repetition: rms deviation of x_1, relative to its mean, up to which its amplitude repeats.

@@ -470,6 +470,8 @@ class RigDriver(abc.ABC):
     def lost_samples(self) -> list[tuple[int, int]]:
         """Return the ranges of scans that were measured but not published since the last `clear` or reset.
 
+        Scans are numbered from 0 at the start of the rig or its last reset.
+
         Returns:
             Pairs (number of the first scan of a range, number of the scan after its last), in order; empty without a
             loss.

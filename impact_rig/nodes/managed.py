@@ -544,7 +544,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the node's work and free what `configure` created, in any state; also used for shutdown and errors.
 
-        The node can then be configured again, unless it was shut down (finalized).
+        The node can then be configured again, unless it was shut down (finalized). An exception is logged, and the
+        result is then FAILURE.
         """
         return self._transition("clean up", self._free)
 

@@ -620,7 +620,8 @@ class Session:
         """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
         `done` is called with success when every peer has acknowledged all blocks of the steps, or with an error if a
-        peer or the drive's samples fail to arrive, or if the rig is reset, resumed or deactivated meanwhile.
+        peer or the drive's samples fail to arrive, or if the rig is reset or deactivated meanwhile. Resuming the rig
+        ends the steps with an error, too, except in lockstep, where they continue.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()

@@ -428,7 +428,8 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
     """Return the length in χ of a contact's step that takes about `since` seconds, by the whole step's dense output.
 
-    `s` is the state at the start of the step; `end_point`, the end of the whole step, is (its duration [s], w, δ').
+    `s` is the state at the start of the step; `end_point`, the end of the whole step, is (its duration [s], w, δ'),
+    with w the square root of the indentation δ.
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])

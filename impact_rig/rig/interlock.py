@@ -69,7 +69,7 @@ class Trip:
     limit: float
 
     def message(self) -> str:
-        """Return the reason with the measured value and its limit, as one line for users."""
+        """Return the reason as one line for users: the measured value and its limit, or for an underrun the sample."""
         if self.reason == UNDERRUN:
             return f"{self.reason}: sample {self.measured:.0f} of the stream did not arrive in time"
         if self.reason == OVER_TRAVEL:

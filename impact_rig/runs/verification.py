@@ -477,7 +477,8 @@ class _Recorded:
         """Compare the next recorded message with a re-simulated message; a difference is kept for the result.
 
         If recorded messages with earlier stamps precede it, the first of them counts as a difference. Before the first
-        message of the topic has been compared, they are left out instead.
+        message of the topic has been compared, they are left out instead, and a missing message is no difference.
+        After the end of the recording, `end` decides whether the missing messages are one.
 
         Args:
             stamp_ns: stamp of the re-simulated message [ns].

@@ -455,7 +455,10 @@ def lock_directory() -> Path:
 
 
 def _open(folder: str, name: str) -> int:
-    """Open the file of a lock, created if needed, and return its descriptor; this does not acquire the lock."""
+    """Open the file of a lock and return its descriptor; this does not acquire the lock.
+
+    The file and its folder are created if needed.
+    """
     directory = lock_directory() / folder
     with contextlib.suppress(FileExistsError):
         directory.mkdir()

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Complex, Real
-from impact_rig.analysis.convergence import mark_strikes, settled_period
+from impact_rig.analysis.convergence import settled_period
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.analysis.spread import LONGEST_PERIOD, Behaviour, classify, rms_deviation
@@ -423,8 +423,9 @@ def _strong(record: _Record) -> NDArray[np.bool_]:
 
 
 def _strikes(record: _Record) -> NDArray[np.uint8]:
-    strikes = np.empty((len(record.cycles), PHASE_BINS), np.uint8)
-    mark_strikes(record.cycle, record.turn, record.speed, WEAK, strikes)
+    """Return 1 for each cycle and part of it with a strong impact, 0 elsewhere, shape (cycles, `PHASE_BINS`)."""
+    strikes, strong = np.zeros((len(record.cycles), PHASE_BINS), np.uint8), _strong(record)
+    strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
     return strikes
 
 

@@ -11,14 +11,14 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Convergence to a periodic motion: the kernels agree with their definitions in NumPy."""
+"""Convergence to a periodic motion: the kernel agrees with its definition in NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from impact_rig.analysis.convergence import LASTING, mark_strikes, settled_period
+from impact_rig.analysis.convergence import LASTING, settled_period
 from impact_rig.analysis.cycles import PHASE_BINS
 from impact_rig.analysis.spread import LONGEST_PERIOD, classify
 
@@ -87,15 +87,3 @@ def test_a_base_without_a_finite_motion_has_not_settled(value):
         rows[:, column] = value
         strikes = np.zeros((24, PHASE_BINS), np.uint8)
         assert settled_period(rows, strikes, OMEGA, TOLERANCE, REPETITION, 6, np.empty_like(rows)) == 0
-
-
-def test_strikes_are_marked_by_cycle_and_phase_without_weak_impacts():
-    rng = np.random.default_rng(2)
-    for count in (0, 1, 40):
-        cycle, turn, speed = np.sort(rng.integers(0, 24, count)), 1.2 * rng.random(count), rng.random(count)
-        strikes, expected = np.full((24, PHASE_BINS), 7, np.uint8), np.zeros((24, PHASE_BINS), np.uint8)
-        mark_strikes(cycle, turn, speed, 0.3, strikes)
-        strong = speed >= 0.3 * speed.max(initial=0.0)
-        expected[cycle[strong], (turn[strong] * PHASE_BINS).astype(int) % PHASE_BINS] = 1
-        assert strikes.tolist() == expected.tolist()
-        assert 0 < strong.sum() < max(count, 2) or not count
