@@ -115,8 +115,8 @@ def test_a_journal_entry_far_in_the_future_costs_only_what_is_read() -> None:
         ("configure", decoders.INFO.rows[["name", "rate"]], "daq/info lacks the column unit, range_low"),
         ("on_applied", decoders.APPLIED.rows[["time", "sample"]], "shaker/applied lacks the column frequency"),
         ("feed", decoders.SCANS[0].rows[["time"]], "daq/scan lacks the column accelerometer"),
-        ("on_applied", np.full(1, np.nan, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
-        ("on_applied", np.full(1, 1e305, [(name, "f8") for name in blocks.APPLIED.names]), "time must be within"),
+        ("on_applied", np.full(1, np.nan, [(name, "f8") for name in blocks.APPLIED.names]), "time.* must be within"),
+        ("on_applied", np.full(1, 1e305, [(name, "f8") for name in blocks.APPLIED.names]), "time.* must be within"),
     ],
 )
 def test_a_table_without_its_columns_is_rejected_by_name(topic: str, rows: np.ndarray, words: str) -> None:

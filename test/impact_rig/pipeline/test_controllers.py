@@ -59,11 +59,11 @@ class Paced(VelocityFeedback):
     def on_scan(self, message):
         if self.output.get_subscription_count() < 2:  # rig and recorder
             return
-        if sys.argv[1] == "feedback":
-            return super().on_scan(message)
         self.heard += 1
         if self.heard < 50:  # both need a moment to find us, too, and what they miss is not sent again
             return
+        if sys.argv[1] == "feedback":
+            return super().on_scan(message)
         self.next_ns = self.next_ns or stamp_ns(message) + 40_000_000
         if sys.argv[1] == "slow":
             if self.heard % 10 == 1:
