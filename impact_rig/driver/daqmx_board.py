@@ -381,14 +381,15 @@ class Board:
             raise DaqmxError(
                 Code.INVALID_TASK, "a task has inputs or outputs, not both: create a second task for the others"
             )
-        found = self.physical_channels(physical, kind)
+        found, added = self.physical_channels(physical, kind), list[BoardChannel]()
         for number, (device, channel) in enumerate(found):
-            if any(one.physical == channel for one in task.channels):
+            if any(one.physical == channel for one in (*task.channels, *added)):
                 raise DaqmxError(
                     Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already: add it once only"
                 )
             named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
-            task.channels.append(BoardChannel(named, channel, device, *limits, per_volt, unit))
+            added.append(BoardChannel(named, channel, device, *limits, per_volt, unit))
+        task.channels += added
         task.kind = kind
 
     def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
@@ -426,10 +427,13 @@ class Board:
             DaqmxError: the task is running or has no such channel, or `low` would not be less than `high`.
         """
         task.must_be_idle()
-        for channel in self.channels(task, names):
-            task.channels[task.channels.index(channel)] = attrs.evolve(
+        changed = {
+            channel.name: attrs.evolve(
                 channel, low=channel.low if low is None else low, high=channel.high if high is None else high
             )
+            for channel in self.channels(task, names)
+        }
+        task.channels[:] = [changed.get(channel.name, channel) for channel in task.channels]
 
     def configure_clock(self, task: DaqmxTask, rate_hz: float, samples: int, *, finite: bool) -> None:
         """Set the sample clock of a task: its rate, and how many samples it acquires or generates.

@@ -392,8 +392,8 @@ class RigDriver(abc.ABC):
         acts_on = self._command(frequency_hz, current_a)
         if acts_on != at_sample:
             raise CommandError(
-                f"the command acts on sample {acts_on}, not on {at_sample}: when it arrived, {self.name} was already "
-                "past that sample"
+                f"the command was applied, but acts on sample {acts_on} instead of {at_sample}: when it arrived, "
+                f"{self.name} was already past that sample"
             )
         return acts_on
 

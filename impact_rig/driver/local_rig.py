@@ -240,7 +240,7 @@ class LocalRig(RigDriver):
         return number
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig (`drive.waveform: stream`); a recording contains them.
+        """Send samples of the stream that drives the rig (`drive.waveform: stream`); a recording holds those accepted.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -250,9 +250,9 @@ class LocalRig(RigDriver):
             CommandError: the drive is no stream, the shaker is stopped, or a sample is not finite or exceeds shaker or
                 buffer.
         """
+        self.core.feed(first, samples)
         if self._recording is not None:
             self._record(topics.WAVEFORM.name, self._samples(first, samples))
-        self.core.feed(first, samples)
 
     def stream_level(self) -> StreamLevel:
         """Return the state of the buffer that holds the samples of the drive.

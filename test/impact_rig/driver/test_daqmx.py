@@ -333,6 +333,15 @@ def test_an_invalid_channel_is_rejected(task: MakeTask, channel: str, expected: 
         task().ai_channels.add_ai_voltage_chan(channel)
 
 
+def test_a_list_with_a_rejected_channel_adds_none_of_it(task: MakeTask) -> None:
+    ai = task()
+    with rejected(DAQmxErrors.CHAN_ALREADY_IN_TASK):
+        ai.ai_channels.add_ai_voltage_chan("Dev1/ai0, Dev1/ai1, Dev1/ai0")
+    assert ai.number_of_channels == 0
+    ai.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
+    assert ai.channel_names == ["Dev1/ai0", "Dev1/ai1"]
+
+
 @pytest.mark.parametrize("rate_hz", [1e9, 250_001.0, 99.0, 0.0, -5.0, float("nan"), float("inf")])
 def test_an_invalid_rate_is_rejected(task: MakeTask, rate_hz: float) -> None:
     ai = inputs(task())

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from impact_rig import topics
 from impact_rig.analysis.sine import fit_sine
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError, RecordingError
@@ -42,6 +43,19 @@ def test_a_command_acts_at_the_requested_sample() -> None:
     assert np.abs(current[:3000]).max() < 0.02  # noise of the monitor
     assert np.abs(current[3000:]).max() > 0.1
     assert rig.rows("shaker/applied")["sample"].tolist() == [0, 3000]
+
+
+def test_a_rejected_block_of_the_stream_is_not_recorded(tmp_path: Path) -> None:
+    with LocalRig({**LINEAR, "drive.waveform": "stream"}, record=tmp_path / "run") as rig:
+        rig.feed(0, np.full(3000, 0.1))
+        for rejected in (np.full(10, np.nan), np.full(10, 1e9), np.zeros(10**6)):
+            with pytest.raises(CommandError):
+                rig.feed(3000, rejected)
+        rig.run(seconds=0.25)
+    with open_run(tmp_path / "run") as run:
+        blocks = [run.table(one, topics.WAVEFORM) for one in run.messages(["/rig/shaker/waveform"])]
+        assert verify(run).identical
+    assert [block.rows["value"].tolist() for block in blocks] == [[0.1] * 3000]
 
 
 @pytest.mark.parametrize("at_sample", [50, 3050])
