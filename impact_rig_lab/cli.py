@@ -199,8 +199,8 @@ def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:
     namespace = f"/{arguments.namespace.strip('/')}"
     if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
         raise ImpactRigError(
-            "--namespace must consist of letters, digits and _ between slashes, no part beginning with a digit, got "
-            f"{arguments.namespace!r}"
+            "--namespace must be one or more names of letters, digits and _, separated by slashes, none beginning with "
+            f"a digit, such as /rig; got {arguments.namespace!r}"
         )
     parameters = node_parameters(arguments)
     from_flat(RigConfig(), parameters["rig"])  # report values that the rig rejects here, where the user sees it

@@ -459,7 +459,13 @@ class Gateway:
         return await self._call(SetBool, "rig/pause", SetBool.Request(data=value))
 
     async def do_gap(self, value: float) -> str:
-        """Set the gap of the rig [m], and the same gap as label of the analysis; 0 removes the sphere."""
+        """Set the gap of the rig [m], and the same gap as label of the analysis; 0 removes the sphere.
+
+        If no analysis is running, the answer says so.
+
+        Raises:
+            Refused: the gap is negative, or the rig or the analysis rejects it.
+        """
         if value < 0.0:
             raise Refused(f"a gap must be 0 mm (no sphere) or more, got {value * 1e3:g} mm")
         await self._set("rig", gap_values(value))
@@ -505,9 +511,12 @@ class Gateway:
         Args:
             kind: kind of fault, a key of `FAULT_KINDS`.
             channel: channel that it affects; empty for the whole board.
-            value: size of the fault in SI units, if the kind has one.
-            duration: duration of the fault [s of rig time].
-            rate: rate of the fault [Hz], if the kind has one.
+            value: size of the fault, as `FAULT_KINDS` defines it for the kind; ignored if the kind has no size.
+            duration: duration of the fault [s of rig time]; 0 means until the faults are cleared.
+            rate: mean rate of the fault [Hz]; ignored if the kind has none.
+
+        Raises:
+            Refused: the kind is unknown, or the rig rejects the fault.
         """
         if kind not in FAULT_KINDS:
             raise Refused(f"unknown kind of fault {kind!r}, known: {', '.join(FAULT_KINDS)}")
@@ -566,7 +575,7 @@ class Gateway:
         If a recorder runs but is not recording, the remark is only shown, and the answer says so.
 
         Raises:
-            Refused: the remark is empty, or no recorder is running.
+            Refused: the remark is empty, or no recorder is running, so that the remark would be lost.
         """
         recorder = self.seen("recorder")
         if not value.strip():
@@ -584,7 +593,11 @@ class Gateway:
         return "remark recorded" if records else "remark shown on the page, but no recording is running"
 
     async def do_record(self, value: bool) -> str:  # value of the request
-        """Start a new recording if `value` is true, otherwise stop the present one."""
+        """Start a new recording if `value` is true, otherwise stop the present one, if there is one.
+
+        Raises:
+            Refused: a recording is in progress already, or the recorder has failed or does not answer in time.
+        """
         return await self._trigger("recorder/start" if value else "recorder/stop", 20.0)
 
     async def do_recover(self) -> str:

@@ -139,9 +139,10 @@ class LiveSource(Source):
             await asyncio.sleep(0)  # lets every action check its condition
 
     def _poll(self) -> None:
-        """Process new messages of scans and motion, and subscribe to these topics while they can be drawn.
+        """Process new messages of scans and motion, and subscribe to these topics only while a page is open.
 
-        If rig time runs too fast, the lab unsubscribes most of the time, which also relieves the rig.
+        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion and only short samples of
+        the scans, which also relieves the rig.
         """
         if self._gateway is None:
             return

@@ -87,7 +87,8 @@ class RunPlayer:
         rig: namespace of the rig to show; None means the only one in the recording.
 
     Raises:
-        RecordingError: the run contains no intact message, no scans, or an impossible calibration.
+        RecordingError: the run contains no intact message, no scans or an impossible calibration, not this rig, or
+            several rigs without `rig`.
     """
 
     def __init__(self, path: Path, rig: str | None = None) -> None:
@@ -464,15 +465,16 @@ class PlaybackSource(Source):
         """Shift the second run in time relative to the first, so that both can be compared.
 
         Args:
-            by: `start` (both runs begin together), `time` (equal times since scan 0), or `change`: the journal entry of
-                the first run that is nearest to `at_s` is aligned with the first equal entry of the second run.
+            by: `start` (the first recorded scans of both runs are aligned), `time` (equal times since scan 0), or
+                `change`: the journal entry of the first run that is nearest to `at_s` is aligned with the first equal
+                entry of the second run.
             at_s: time of the page [s].
 
         Returns:
             Answer for the page.
 
         Raises:
-            RecordingError: there is no second run, or no such entry.
+            RecordingError: there is no second run, or no such entry in what has been read of the runs so far.
         """
         if len(self._runs) < 2:
             raise RecordingError("only one run is shown: there is nothing to align")
@@ -483,13 +485,15 @@ class PlaybackSource(Source):
             changes = [line for line in first.record.journal.part(first.start_ns) if line[0] >= first.begin_s]
             if not changes:
                 raise RecordingError(
-                    f"{first.path.name} contains no change of the rig in the part that has been read so far"
+                    f"{first.path.name} contains no change of the rig in the part that has been read so far; align the "
+                    "runs by start or by time"
                 )
             chosen = min(changes, key=lambda line: abs(line[0] - at_s))
             same = [line for line in second.record.journal.part(second.start_ns) if line[1:] == chosen[1:]]
             if not same:
                 raise RecordingError(
-                    f"{second.path.name} has no change {' '.join(chosen[1:]).strip()!r} with which to align the runs"
+                    f"{second.path.name} contains no change {' '.join(chosen[1:]).strip()!r} in the part that has been "
+                    "read so far; align the runs by start or by time"
                 )
             offset_s = same[0][0] - chosen[0]
             words = f"both runs at {' '.join(chosen[1:]).strip()}"

@@ -96,7 +96,7 @@ def number(low: float = -math.inf, high: float = math.inf) -> Check:
         try:
             found = float(value)
         except OverflowError as error:
-            raise RequestError(f"{name} must be finite, got a number of {len(str(value))} digits") from error
+            raise RequestError(f"{name} must be below 1.8e308, got a number of {len(str(value))} digits") from error
         if not (math.isfinite(found) and low <= found <= high):
             raise RequestError(f"{name} must be a finite number within {low:g} and {high:g}, got {found:g}")
         return found

@@ -186,8 +186,9 @@ class RigHistory:
     """History of a rig: journal, faults and remarks as lines of text for the page, and its state at past times.
 
     Args:
-        most: number of newest journal entries kept. Past states are derived from these: a parameter that only older
-            entries set has its default there. None means that all entries and all lines are kept.
+        most: number of newest journal entries kept; None means all entries and all lines. Past states are derived from
+            the kept entries, so a parameter that an older entry has set is shown with its default value. With a number,
+            the newest `MOST_ENTRIES` lines are kept.
     """
 
     def __init__(self, most: int | None = MOST_APPLIED) -> None:
@@ -213,7 +214,7 @@ class RigHistory:
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        """Return the parameters of the rig that are active according to the newest entry, by name."""
+        """Return the parameters of the rig after the newest entry, by name; defaults if no entry has set them."""
         return self._view.configuration
 
     def remark(self, words: str, stamp_ns: int) -> None:
@@ -608,8 +609,8 @@ def guard(refused: dict[str, list[Any]], what: str, work: Callable[[], T]) -> T 
 def came_before(changed_ns: int, row: Judged) -> bool:
     """Return whether a change of the rig took place before the scans of a measurement began.
 
-    The measurement then describes the changed rig. A change up to one interval of the command grid (10 ms) later counts
-    as before.
+    The measurement then describes the changed rig. A change also counts as before if it took place up to one interval
+    of the command grid (10 ms) after the scans began.
 
     Args:
         changed_ns: rig time of the change.

@@ -85,7 +85,10 @@ class ScopeLevel:
         self.high = self.low if same else np.vstack([self.high, np.full((1, self.size), np.nan, np.float32)])
 
     def places(self, begin: int, end: int) -> list[slice]:
-        """Return the positions in the ring of pairs `begin` to `end` − 1: none, one slice, or two at its end."""
+        """Return the slices of the ring that hold the pairs `begin` to `end` − 1, which may be at most `size` pairs.
+
+        If the pairs continue at the beginning of the ring, there are two slices; without pairs, there is none.
+        """
         if end <= begin:
             return []
         first, last = begin % self.size, (end - 1) % self.size + 1
@@ -232,7 +235,8 @@ class Scope:
     def _crossing(self, begin: int) -> float:
         """Return the number of the last scan before scan `begin` at which the current crosses zero upwards.
 
-        Returns NaN if there is none in the quarter of a second before, or if the current stays below 0.01 A there.
+        The number is rounded to a whole one. It is NaN if there is no crossing in the quarter of a second before, or if
+        the mean of the current over a millisecond stays within ±0.01 A there.
         """
         low = max(self.begin, begin - round(0.25 * self.rate_hz), 0)
         found = self._read(low, begin + 1)[CURRENT]

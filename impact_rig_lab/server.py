@@ -628,7 +628,8 @@ class Server:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ImpactRigError(
-                f"there is no recorded run {unknown[0]!r} among the newest {MOST_RUNS} in the directory of this lab"
+                f"there is no recorded run {unknown[0]!r} among the newest {MOST_RUNS} in the directory of this lab; "
+                "to play another one, start impact-rig lab with its path"
             )
         if len(names) > MOST_AT_ONCE:
             raise ImpactRigError(f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}")

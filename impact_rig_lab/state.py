@@ -191,7 +191,8 @@ class Pace:
         clock: clock for real time [s].
 
     Attributes:
-        speed: speed from the last two different readings; it stays the same while the readings do not change.
+        speed: speed from the last two different readings, 0 before there are two. While the readings do not change it
+            keeps its value, unlike the result of `read`.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -234,7 +235,7 @@ class Pace:
 def choices() -> dict[str, Any]:
     """Return the choices that the controls of the page offer: contact laws, starts of the sphere, faults, channels.
 
-    The value of a kind of fault is the content of its input form.
+    `faults` maps each kind of fault to the content of its input form.
     """
     about = {name: info for name, info, _ in fields()}
     return {
@@ -262,7 +263,7 @@ def _fault_form(kind: str) -> dict[str, Any]:
 
     The result has `words` (description), `board` (whether the fault concerns all channels), `rate` (whether it
     occurs repeatedly, at a mean rate) and `sizes` by channel; a fault of all channels has its size under an empty name.
-    A size has a name, a default in the `unit` of the page, and `scale`, the size of this unit in the unit of the rig.
+    A size has a name, a default in the `unit` of the page, and `scale`, the factor from this unit to that of the rig.
     If a kind of fault has no size, `sizes` is empty.
     """
     words = FAULT_KINDS[kind]

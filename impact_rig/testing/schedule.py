@@ -177,8 +177,8 @@ class LocalRigWithNodes(LocalRig):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node whose callbacks run in rig time, and return it.
 
-        The node's clock is rig time (`use_sim_time`). While a callback sleeps (`time.sleep`), rig time passes and the
-        node runs no other callback.
+        The node's clock is rig time (`use_sim_time`). While a callback sleeps (`time.sleep`), rig time passes, the node
+        runs no other callback, and other nodes continue.
 
         Args:
             make_node: class of the node, or a function that creates it.
@@ -313,7 +313,8 @@ class LocalRigWithNodes(LocalRig):
     def set_parameter(self, name: str, value: object) -> None:
         """Change a parameter of every hosted node that has it, as a client of its parameter service would do.
 
-        A node that rejects the value keeps the present one; `callbacks` has a line for each change.
+        A node that rejects the value keeps the present one. `callbacks` has a line for each change, which says whether
+        it was rejected. If no node has the parameter, nothing happens.
         """
         for hosted in self._hosted:
             if hosted.node.has_parameter(name):
@@ -371,9 +372,10 @@ class LocalRigWithNodes(LocalRig):
             self._publish_output(*self._outbox.popleft()[1:])
 
     def _route(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
-        """Put a message into the queues of the hosted nodes' subscriptions to its topic, twice or not if so disturbed.
+        """Put a message into the queues of the hosted nodes' subscriptions to its topic.
 
-        `duplicate` and `drop` decide about the disturbance. A message on a latched topic is kept for later subscribers.
+        If `duplicate` applies to it, it is put there twice. If `drop` applies, best-effort subscriptions do not get it.
+        A message on a latched topic is kept for later subscribers.
         """
         topic = topic.removeprefix("/")
         self._numbers += 1
@@ -508,8 +510,8 @@ class LocalRigWithNodes(LocalRig):
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
         """Prepare the `with` block in which code of a hosted node runs: its sleeping takes rig time, not wall time.
 
-        What the code publishes goes to the queues of the hosted nodes. If the code waits or does not return,
-        `BlockedError` is raised with `what`, the name of the code, in its message.
+        What the code publishes goes to the queues of the hosted nodes. If the code waits for something else than the
+        end of a sleep, or does not return, `BlockedError` is raised with `what`, the name of the code, in its message.
         """
 
         def publish(publisher: Any, message: Any) -> None:
@@ -593,7 +595,7 @@ def _returning(message: str) -> Iterator[None]:
                 f"{message} waits: {IDLE_S:g} s without computing, while no other callback of this executor can run"
             )
         if time.monotonic() - begin > BUSY_S:
-            raise BlockedError(f"{message} has not returned within {BUSY_S:g} s")
+            raise BlockedError(f"{message} has not returned within {BUSY_S:g} s of wall time")
 
     handler = signal.signal(signal.SIGALRM, watch)
     left_s, period_s = signal.setitimer(signal.ITIMER_REAL, TICK_S, TICK_S)

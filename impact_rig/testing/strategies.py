@@ -144,7 +144,10 @@ class LateJoin:
 
 @attrs.frozen
 class Delay:
-    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for this many blocks."""
+    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for this many blocks.
+
+    The messages are delivered afterwards in their order; a full queue loses its oldest one.
+    """
 
     source: str
     blocks: int = 1
@@ -217,7 +220,10 @@ class SetParameter:
 
 @attrs.frozen
 class Send:
-    """Message with this `data` (None: an empty one) to the nodes under test, after this many further callbacks."""
+    """Message to the nodes under test, after this many further callbacks, with the value `data` in its field `data`.
+
+    If `data` is None, all fields of the message have their default values.
+    """
 
     topic: str
     data: object
