@@ -286,7 +286,7 @@ class Time:
 
 @attrs.frozen(kw_only=True)
 class Step:
-    """Rig time by which one call of ~/step advances the rig."""
+    """Number of blocks by which one call of ~/step advances the rig."""
 
     blocks: int = integer(1, "blocks", "Blocks by which one call of ~/step advances.", at_least=1, at_most=1_000_000)
 
@@ -302,7 +302,10 @@ class Pluck:
 
 @attrs.frozen(kw_only=True)
 class Output:
-    """Outputs of the rig node in addition to the scans, its automatic start, and the timeout of commands."""
+    """Outputs of the rig node in addition to the scans, and its behaviour at start and without commands.
+
+    At start, the node can activate itself. After some time without a command, the drive can ramp to zero.
+    """
 
     monitor_rate_hz: float = quantity(
         50.0, "Hz", "Message rate of the monitor topics, for plotters, and of truth/joint_states.", above=0, at_most=200

@@ -463,7 +463,7 @@ class Board:
         """Set the size of a task's buffer [samples per channel].
 
         Raises:
-            DaqmxError: the task is running, or the size is invalid.
+            DaqmxError: the task is running, or the size is not from 1 to `MOST_SAMPLES`.
         """
         task.must_be_idle()
         if not 1 <= samples <= MOST_SAMPLES:
@@ -814,7 +814,7 @@ class Board:
         """Return the rig at the rates that `task` and the other tasks need; create a new one if the rates differ.
 
         Raises:
-            DaqmxError: the rig cannot run at these rates, or not while another task runs.
+            DaqmxError: the rig cannot run at these rates, or an active task needs the present ones.
         """
         rates = {}
         for kind, key in RATE_KEYS.items():

@@ -174,7 +174,7 @@ class Service:
 
     @_served
     def CreateAIAccelChan(self, request: Any, context: Any) -> None:
-        """Add input channels to a task; their values are accelerations by the sensitivity in the request."""
+        """Add input channels to a task; their values are accelerations: volts divided by the given sensitivity."""
         units = self._must_be(request, "units", set(ACCELERATIONS))
         kind = self._must_be(request, "sensitivity_units", set(VOLTS_PER_SENSITIVITY))
         if not request.sensitivity > 0.0:
@@ -577,7 +577,7 @@ def _reason(address: str) -> str:
 
 @contextlib.contextmanager
 def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
-    """Serve a board until the end of the `with` statement, and then close it; yield the gRPC server and its port.
+    """Serve a board until the end of the `with` statement, then close the board and its rig; yield server and port.
 
     Args:
         board: the rig as a board.

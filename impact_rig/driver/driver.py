@@ -190,7 +190,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault, which starts at its `start_sample`, and return its number, from 1.
+        """Add an instrument fault, which starts at its `start_sample`; return its number, from 1 with the planned ones.
 
         Raises:
             ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
@@ -216,7 +216,11 @@ class RigDriver(abc.ABC):
     @property
     @abc.abstractmethod
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop) and latched; empty if it is not stopped."""
+        """Reason why the shaker is stopped by a trip or an emergency stop; empty if it is not stopped.
+
+        It stays stopped, and the rig cannot be reset, until the service `rig/clear_trip` (of a `LocalRig`:
+        `core.clear_trip`).
+        """
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
@@ -291,7 +295,7 @@ class RigDriver(abc.ABC):
 
     @property
     def frontier_sample(self) -> int:
-        """Number of the earliest scan that a command can act on: not measured yet, and on the grid of 10 ms."""
+        """Number of the next scan, not measured yet, that a command can act on: they act every 10 ms of rig time."""
         return first_scan_on_grid(self.sample, self.rate_hz)
 
     @property
@@ -376,7 +380,8 @@ class RigDriver(abc.ABC):
             Number of the first scan that the command acts on.
 
         Raises:
-            CommandError: a value is out of range, the shaker is stopped, or no command can act on this scan.
+            CommandError: a value is out of range, the shaker is stopped, or no command can act on this scan. A rig that
+                runs by itself may pass `at_sample` before the command arrives; the command then acts later.
             ConfigError: the rig has already passed `at_sample`.
             TimeoutError: as for `step`, on the way to `at_sample`.
         """
@@ -393,7 +398,7 @@ class RigDriver(abc.ABC):
         if acts_on != at_sample:
             raise CommandError(
                 f"the command was applied, but acts on sample {acts_on} instead of {at_sample}: when it arrived, "
-                f"{self.name} was already past that sample"
+                f"{self.name} was already past that sample; use a rig in lockstep, or omit at_sample"
             )
         return acts_on
 
@@ -424,7 +429,7 @@ class RigDriver(abc.ABC):
             from the stamp of each row's own table.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
         """
         parts = [table.rows for table in self.tables(topic)]
         return np.concatenate(parts) if parts else np.empty(0, _ROWS[topic])
@@ -470,7 +475,8 @@ class RigDriver(abc.ABC):
     def lost_samples(self) -> list[tuple[int, int]]:
         """Return the ranges of scans that were measured but not published since the last `clear` or reset.
 
-        Scans are numbered from 0 at the start of the rig or its last reset.
+        Scans are numbered from 0 at the start of the rig or its last reset. Ranges before the oldest scan that the rig
+        still keeps are left out; `lost_scans` counts their scans, too.
 
         Returns:
             Pairs (number of the first scan of a range, number of the scan after its last), in order; empty without a
@@ -497,14 +503,17 @@ class RigDriver(abc.ABC):
             Rows, shape (count,), oldest first; fewer if the rig keeps fewer.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
         """
         rows = self.rows(topic)
         return rows[max(0, len(rows) - count) :]
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans (`instruments.faults.planned`), and those injected later."""
+        """Instrument faults that the configuration plans (`instruments.faults.planned`), and those injected later.
+
+        Faults are listed even if they have ended or a reset has removed them.
+        """
         return list(self.config.instruments.faults.faults(self.rate_hz))
 
     # Reports
@@ -536,7 +545,7 @@ class RigDriver(abc.ABC):
         return first_scan_at(table.stamp_ns, self.rate_hz, self._start_ns)
 
     def _samples(self, first: int, values: NDArray[np.float64]) -> Table:
-        """Return the table of `shaker/waveform` with samples of the stream, the first with the number `first`."""
+        """Return the table of `shaker/waveform` with the samples `values`; the first of them has the number `first`."""
         rows = np.zeros(len(values), WAVEFORM)
         rows["value"] = values
         return Table(stamp_ns(first, self.stream_rate_hz, self._start_ns), rows)

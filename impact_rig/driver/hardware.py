@@ -110,7 +110,10 @@ class AnalogOutput:
 
     @property
     def missing(self) -> int:
-        """Number of samples since the last `start` that had not arrived when the rig needed them."""
+        """Number of samples since the last `start` that had not arrived when the rig needed them.
+
+        `drive.on_underrun` sets what the rig plays instead.
+        """
         return self._level().missing - self._before.missing
 
     def ready(self, count: int) -> bool:
@@ -118,11 +121,15 @@ class AnalogOutput:
         return count <= self.space
 
     def start(self, lead_s: float | None = None) -> int:
-        """Begin to play the samples written so far, and return the number of the first of them, counted from scan 0.
+        """Begin to play the samples written so far.
 
         Args:
-            lead_s: pause before the first of these samples [s of rig time], after all samples that were played or
-                sent before (default: the shortest with which that sample arrives in time, `rig.lead_s`).
+            lead_s: pause before the first of these samples [s of rig time]. It begins now or, if the rig still has
+                earlier samples to play, after the last of them. Default: the shortest pause with which the first
+                sample arrives in time, `rig.lead_s`.
+
+        Returns:
+            Number of the first of these samples: the time from scan 0 in samples of the stream, not in scans.
         """
         rig = self._rig
         with rig.turns:
@@ -218,7 +225,7 @@ class AnalogOutput:
             self._playing = False
             raise UnderrunError(
                 f"underrun: {lost} samples were not written in time, the rig is at sample {level.sample}; "
-                "write earlier or with a larger buffer_s",
+                "write earlier or with a larger buffer_s, and start again",
                 lost,
             )
         return lost
@@ -449,7 +456,7 @@ def _refresh(rig: RigDriver) -> None:
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
     """Advance rig time by one block, and drop the rig's tables, except those of `ESSENTIAL`.
 
-    If a shared rig lacks samples for the block, wait until another thread writes some.
+    If the rig lacks samples for the block, wait until another thread writes some, or until the deadline.
 
     Args:
         rig: the rig.

@@ -162,7 +162,7 @@ class LocalRig(RigDriver):
             timeout_s: ignored, because this rig never waits; for a `RosRig` the limit of wall time [s].
 
         Raises:
-            TimeoutError: the stream that drives the rig has no samples for these blocks.
+            TimeoutError: the stream that drives the rig lacks samples for a block; the blocks before it are done.
         """
         one_by_one = self._listeners or self._recording or self.core.takes_samples
         while blocks > 0:
@@ -184,12 +184,15 @@ class LocalRig(RigDriver):
             topic: name of the topic; by default `daq/scan`, with one table per block.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
         """
         return list(self._kept_of(topic, self._kept))
 
     def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal that are kept, oldest first: every input that changed the rig's state."""
+        """Return the journal since the start, across resets, oldest entry first: every input that changed the state.
+
+        The oldest entries are dropped once what is kept of earlier inputs fills half of `kept_bytes`.
+        """
         return list(self._kept[topics.JOURNAL.name])
 
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
@@ -229,7 +232,8 @@ class LocalRig(RigDriver):
             fault: the fault; its `start_sample` must not be measured yet.
 
         Returns:
-            Number of the fault since the reset, from 1.
+            Number of the fault, from 1, for `core.clear_fault`. Planned faults have the first numbers; after a reset,
+            the count goes on from these.
 
         Raises:
             CommandError: the kind or channel is unknown, or the scan has been measured already.
@@ -269,7 +273,10 @@ class LocalRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop) and latched; empty if it is not stopped."""
+        """Reason why the shaker is stopped by a trip or an emergency stop; empty if it is not stopped.
+
+        It stays stopped, and the rig cannot be reset, until `core.clear_trip`.
+        """
         return "" if self.core.latched is None else f"the rig tripped: {self.core.latched}"
 
     @property
@@ -280,7 +287,10 @@ class LocalRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans, and the last 100 injected ones, even if they have ended."""
+        """Instrument faults that the configuration plans, and the last 100 injected ones.
+
+        Faults are listed even if they have ended or a reset has removed them.
+        """
         return [*super().faults, *self._injected]
 
     def save(self, directory: str | Path) -> Path:

@@ -415,7 +415,7 @@ class RosRig(RigDriver):
             topic: name of the topic; by default `daq/scan`, with one table per block.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
         """
         return self._kept_of(topic, self._collectors).tables()
 
@@ -434,7 +434,7 @@ class RosRig(RigDriver):
             Rows, shape (count,), oldest first.
 
         Raises:
-            ConfigError: the rig keeps no tables of this topic; `also` adds topics.
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
             TimeoutError: so many rows did not arrive within 10 s.
         """
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
@@ -528,7 +528,10 @@ class RosRig(RigDriver):
 
     @property
     def stopped(self) -> str:
-        """Reason why the shaker is stopped (trip or emergency stop), from the journal; empty if it is not stopped."""
+        """Reason why the shaker is stopped by a trip or emergency stop, from the journal; empty if it is not stopped.
+
+        It stays stopped, and the rig cannot be reset, until the service `rig/clear_trip`.
+        """
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
             if entry.kind is InputKind.TRIP:

@@ -647,7 +647,8 @@ class Rig:
             fault: the fault; the scan with the number `start_sample` must not be measured yet.
 
         Returns:
-            Number of the fault since the reset, from 1.
+            Number of the fault, from 1, for `clear_fault`. Planned faults have the first numbers; after a reset, the
+            count goes on from these.
 
         Raises:
             CommandError: kind or channel is unknown, or the fault starts at a scan that is already measured.
