@@ -365,10 +365,10 @@ class Gateway:
     async def _set(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all or none, and wait until the node has accepted them.
 
-        For the rig, wait also until `rig/configuration` shows a new configuration.
+        For the rig, wait also until `rig/configuration` shows these values or another new configuration.
 
         Raises:
-            Refused: the node rejects the parameters, or does not answer in time.
+            Refused: the node rejects the parameters, or its answer or the configuration does not arrive in time.
         """
         request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in ros_parameters(values)])
         await self._call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
@@ -541,7 +541,7 @@ class Gateway:
             frequencies: frequencies of the points [Hz].
             direction: up, down or up_down.
             hold: quantity that is kept constant: command, current, base, superior or phase.
-            target: amplitude to which current, base or superior is controlled [A or m].
+            target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for the others.
 
         Raises:
             Refused: the node is absent and cannot be started, or rejects the plan or the start.
@@ -611,7 +611,10 @@ class Gateway:
         if recorder.lives:
             raise Refused("the recorder is running, so there is nothing to recover")
         if not directory:
-            raise Refused("the recorder has reported no recording, so there is nothing to recover")
+            raise Refused(
+                "the recorder has reported no recording, so there is nothing to recover here; recover an older one "
+                "with impact-rig recover"
+            )
         target = Path(f"{directory}_recovered")
         await asyncio.to_thread(recover, directory, target)
         return f"recovered into {target.name}"

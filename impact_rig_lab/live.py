@@ -117,7 +117,7 @@ class LiveSource(Source):
                 self._client.close()
 
     async def _serve(self) -> None:
-        """Serve one rig, or search for one, until the end of the source or until a page chooses another namespace."""
+        """Serve one rig, or search for one, until the lab ends or a page chooses another namespace."""
         look_at = state_at = slow_at = 0.0
         namespace = self._namespace
         while not self.end.is_set() and self._namespace == namespace:

@@ -418,7 +418,10 @@ class PlaybackSource(Source):
     # Requests of pages
 
     def _obey(self) -> None:
-        """Run the waiting requests of pages and answer them; of several `seek` requests, only the last one is run."""
+        """Run the waiting requests of pages and answer them.
+
+        Of several `seek` requests, only the last one is run; the others are answered as successful.
+        """
         asked: list[tuple[Request, Answer]] = []
         while not self._asked.empty():
             asked.append(self._asked.get())

@@ -269,9 +269,10 @@ def trace_frame(kind: FrameKind, number: int, trace: Trace, now_s: float) -> byt
 
     Args:
         kind: TRACE, or TRACE_B for a second run.
-        number: number of the frame, which the page acknowledges when it has drawn a TRACE.
+        number: number of the frame, which the page acknowledges when it has drawn it; for a TRACE_B, which it does not
+            acknowledge, the epoch of the record (`RigView.epoch`).
         trace: the picture.
-        now_s: time that the page shows [s since scan 0].
+        now_s: time that the page shows [s since scan 0; for both kinds that of the first run].
     """
     head = _TRACE.pack(trace.begin_s, trace.column_s, trace.trigger_s, now_s, *trace.low.shape)
     parts = (trace.low.tobytes(), trace.high.tobytes(), trace.status.tobytes())

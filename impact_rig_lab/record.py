@@ -171,7 +171,7 @@ class MotionBuffer:
         """Add true impacts from a table of `truth/impacts`, or detected ones from a table of `impacts`.
 
         Args:
-            table: the table.
+            table: the table; its columns show which of the two it is.
             start_ns: stamp of scan 0.
         """
         true = ("wall", "approach_speed", "separation_speed", "peak_force")
@@ -368,8 +368,8 @@ class Curve:
     def health(self, at_ns: int | None = None) -> dict[str, str] | None:
         """Return the problem of a sensor's channel according to the newest row of the analysis, as text by channel.
 
-        The result is empty if the row states no problem. It is None if there is no row, or if the status of the row is
-        neither about a channel nor that of a measured value.
+        The result is empty if the row states no problem. It is None if there is no row, or if the row has neither a
+        channel with a problem nor a measured value.
 
         Args:
             at_ns: rig time; None means now.
@@ -484,7 +484,8 @@ class RigView:
         """Return the problems of the sensors' channels as `Curve.health` does, if they apply to the present drive.
 
         Otherwise the result is None. That is the case until the analysis has published a row after a change of the
-        drive, and at rest: there is no measurement then, and a pluck would look like spikes and a dead base channel.
+        drive, and always without a drive current. Without one, nothing is measured, and after a pluck the analysis
+        could take the free vibration for spikes and the locked base for a dead channel.
 
         Args:
             at_ns: rig time; None means now.
@@ -621,6 +622,8 @@ def came_before(changed_ns: int, row: Judged) -> bool:
 
 def start_ns(info: Table) -> int:
     """Return the stamp of scan 0 of a rig [ns], from which all times are counted, according to a table of `daq/info`.
+
+    The first row of the table counts.
 
     Raises:
         RecordingError: the table states an invalid time, or has no rows.

@@ -215,9 +215,9 @@ class Scope:
 
         Args:
             span_s: length of the window [s].
-            columns: number of columns of the picture; there may be fewer, or up to half as many more.
+            columns: approximate number of columns; the picture may have fewer, or up to 1.5 times as many.
             trigger: whether to move the window back in time until it begins where the current crosses zero upwards, so
-                that successive pictures of a periodic motion coincide.
+                that successive pictures of a periodic motion coincide. If there is no such crossing, it is not moved.
         """
         if self.end <= self.begin:
             return None

@@ -304,6 +304,8 @@ class _Counting(logging.Handler):
 class Server:
     """Web server of the page for one source, with its own event loop in its own thread.
 
+    It runs from `start`, or the beginning of a `with` block, until `close`.
+
     Args:
         source: live rig or recorded runs for pages that do not request runs themselves.
         host: address of this machine at which the page is served.

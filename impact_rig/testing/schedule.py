@@ -79,7 +79,10 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Error of a callback that does not return: it waits although no other callback can run, or runs for over 20 s."""
+    """Error of a callback that does not return.
+
+    It waits although no other callback can run, or runs for over 20 s of wall time.
+    """
 
 
 @attrs.define(eq=False)
@@ -147,7 +150,8 @@ class _Latched:
 class LocalRigWithNodes(LocalRig):
     """Rig in this process that can host ROS nodes: a `LocalRig` with `host` and `listen` as `RosRig` has them.
 
-    Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes.
+    Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes. Its topics are in the root namespace:
+    scans are on `/daq/scan`.
 
     Attributes:
         callbacks: the callbacks that have run and what they published, one line each, oldest first; the last
@@ -213,7 +217,7 @@ class LocalRigWithNodes(LocalRig):
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
         """Publish a message to the hosted nodes, as another node would do; None as `qos` means that of commands.
 
-        Callbacks for it run in the next `step`, or at once if a callback sends it.
+        Callbacks for it run in the next `step`. If a callback sends it, they run after that callback in the same step.
         """
         self._route(topic, type(message), qos or messages.profile(topics.Qos.EVENT), bytes(serialize_message(message)))
 
@@ -248,7 +252,10 @@ class LocalRigWithNodes(LocalRig):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values of the rig by full name, and return the new configuration.
 
-        Changes that concern the monitor topics apply to the messages for the hosted nodes as well.
+        Hosted nodes receive the monitor topics according to the new configuration.
+
+        Raises:
+            ConfigError: a key is unknown, or a value is invalid or fixed at the start; nothing is changed.
         """
         config = super().configure(changes)
         if self._monitors is not None:
@@ -256,7 +263,10 @@ class LocalRigWithNodes(LocalRig):
         return config
 
     def save(self, directory: str | Path) -> Path:
-        """Write all kept messages of the rig as an MCAP run, with the callbacks of hosted nodes in `callbacks.txt`."""
+        """Write all kept messages of the rig as an MCAP run, with the callbacks of hosted nodes in `callbacks.txt`.
+
+        The directory of the run must not exist yet; it is returned.
+        """
         directory = super().save(directory)
         if self._hosted:
             (directory / "callbacks.txt").write_text("".join(f"{line}\n" for line in self.callbacks), encoding="utf-8")
@@ -304,7 +314,7 @@ class LocalRigWithNodes(LocalRig):
             action()
 
     def after(self, callbacks: int, action: Callable[[], object]) -> None:
-        """Call `action` when hosted nodes have run this many further callbacks, all together: 0 means now."""
+        """Call `action` when this many further callbacks have run, counted over all hosted nodes; 0 means now."""
         if callbacks == 0:
             action()
         else:
@@ -362,8 +372,8 @@ class LocalRigWithNodes(LocalRig):
     def _flush(self) -> None:
         """Put new messages into the queues of the subscriptions.
 
-        The messages of the rig come first, and among them the scans last. Then follow those that callbacks published
-        after a sleep in rig time that is now over.
+        The messages of the rig come first, and among them the scans last. Then follow the messages that a callback
+        published after a `time.sleep`: they are due when the rig time of the sleep has passed.
         """
         published, self._published = self._published, []
         for topic, data in sorted(published, key=lambda one: one[0] is topics.SCAN):
@@ -430,7 +440,7 @@ class LocalRigWithNodes(LocalRig):
     # Callbacks
 
     def _deliver_messages(self) -> None:
-        """Run every callback of hosted nodes that is due at this instant of rig time, one after the other."""
+        """Run every callback of hosted nodes, for messages and timers, that is due at this instant of rig time."""
         now = Clock(clock=messages.time_message(self._time_ns))
         for hosted in self._hosted:
             for inbox in hosted.inboxes.values():
@@ -577,9 +587,9 @@ def _digest(message: Any) -> str:
 
 @contextlib.contextmanager
 def _returning(message: str) -> Iterator[None]:
-    """Raise `BlockedError` in the `with` block if its code waits or runs for too long; only in the main thread.
+    """Raise `BlockedError` in the `with` block if its code waits or runs for too long.
 
-    The text of the error begins with `message`.
+    The text of the error begins with `message`. In other threads than the main one, nothing is checked.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

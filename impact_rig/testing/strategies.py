@@ -104,7 +104,10 @@ class Pause:
 
 @attrs.frozen
 class Silence:
-    """Silence of the controller for this many blocks; the rig ramps down after half of them without a command."""
+    """Silence of the controller for this many blocks.
+
+    The command timeout is half of this time meanwhile, so the rig ramps down after half of the blocks.
+    """
 
     blocks: int = 2
 
