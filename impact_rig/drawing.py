@@ -221,7 +221,7 @@ class Drawn:
         """Return the drawing as an `svg` element for an HTML page.
 
         Its colours are CSS variables, its identifiers are unique on the page, and its size is left to the page: the
-        element has no height, and its width is in `data-width`.
+        element has no height, and its width, such as `316.8pt`, is in `data-width`.
         """
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)

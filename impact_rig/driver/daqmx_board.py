@@ -271,7 +271,7 @@ class Board:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop and remove all tasks, and end the rig."""
+        """Stop and remove all tasks, and close the rig; a running rig of another program goes on."""
         if self._ended:
             return
         with self.changed:
@@ -474,7 +474,7 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Let the start of the output task also start this input task, or the other way round.
+        """Set or remove the start trigger of a task: the start of the other kind of task then starts this task, too.
 
         Args:
             task: task to be started by the trigger.
@@ -613,8 +613,8 @@ class Board:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
         Before the start, samples are added to the buffer; if it is full, its oldest are dropped. While the task runs,
-        they replace older samples in a buffer that the output repeats; otherwise they follow the samples that are still
-        to be played.
+        a buffer that the output repeats is overwritten in a circle, from where the last call ended. In a buffer that is
+        not repeated, new samples follow those that are still to be played.
 
         Args:
             task: the task.

@@ -117,7 +117,7 @@ class RigDriver(abc.ABC):
     Attributes:
         sample: number of the first scan of the next block.
         closed: whether `close` was called.
-        lead_s: rig time [s] by which a sample must be sent before `stream_level().sample` reaches it.
+        lead_s: rig time [s] that a sample needs to arrive: send it at least this long before the rig plays it.
         runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
         scenario: text of a program that repeats the actions on this rig; it is saved with the run of a failed test.
         turns: lock that a thread holds while it calls a rig that it shares with other threads.
@@ -165,7 +165,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
-        """Return the entries of the journal, which has every input that changed the rig's state, oldest first."""
+        """Return the journal since the start, across resets, oldest entry first: every input that changed the state."""
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
@@ -552,13 +552,16 @@ class RigDriver(abc.ABC):
 
 
 def first_scan_on_grid(sample: int, rate_hz: int) -> int:
-    """Return the number of the first scan, from `sample` on, at which a command can act: one in 10 ms of rig time."""
+    """Return the number of the first scan, from `sample` on, at which a command can act.
+
+    Commands act once in 10 ms of rig time: at the first scan that is not before a multiple of 10 ms.
+    """
     tick = -(-sample * TICKS_PER_S // rate_hz)
     return -(-tick * rate_hz // TICKS_PER_S)
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values.
+    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values; None: no values.
 
     The `faults` are added to the planned faults of the configuration (`instruments.faults.planned`).
 

@@ -156,7 +156,7 @@ class AnalogOutput:
             Number of samples since the last call that came too late to be played; always 0 with `raise_underrun`.
 
         Raises:
-            TimeoutError: the buffer had no space in time.
+            TimeoutError: the buffer had no space in time; the samples before `next_sample` were accepted.
             UnderrunError: samples came too late to be played, and `raise_underrun` is set; call `start` to continue.
             CommandError: the rig rejects the samples or has stopped, or more samples were written before the start than
                 the buffer holds.
@@ -291,8 +291,8 @@ class Acquisition:
         """Return how much later in rig time a scan is taken than an output sample is played [s]; negative if earlier.
 
         Args:
-            sample: number of the sample.
-            scan: number of the scan.
+            sample: number of the sample, counted from scan 0 at the rate of the stream.
+            scan: number of the scan, counted from scan 0.
         """
         rig = self._rig
         return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
@@ -377,7 +377,7 @@ class Hardware:
         """Play samples; return the scans that were taken while they were played, and `rest` further scans.
 
         The stream ends after the last sample, so the drive ramps to zero during the further scans. Samples and scans
-        must have the same rate. Lost scans are missing from the result.
+        must have the same rate, which is not checked. Lost scans are missing from the result.
 
         Raises:
             TimeoutError: the rig did not advance in time.
@@ -411,13 +411,13 @@ class Exchange:
     """Gapless exchange of samples and scans: each call plays samples and reads as many scans.
 
     The scans that a call returns were taken while the rig played the samples that lie `lag` samples before those of the
-    call. The rig therefore has samples for the duration of the lag when a call returns, and the next call may come that
-    much later.
+    call. When a call returns, the rig therefore has samples for the duration of the lag, so the caller may wait as long
+    before the next call.
 
     Args:
-        hardware: output and acquisition, with equal rates.
-        lag: number of samples that are written ahead of the scans read, at least 1; zeros at first. It is limited to a
-            quarter of the rig's buffer.
+        hardware: output and acquisition, with equal rates, which is not checked.
+        lag: number of samples that are written ahead of the scans read, at least 1; zeros at first. A larger
+            number than a quarter of the rig's buffer is reduced to that quarter.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
@@ -432,6 +432,7 @@ class Exchange:
 
         Returns:
             The samples that were played during these scans (`lag` samples before the ones written now), and the scans.
+            If scans were lost, there are fewer scans than samples.
         """
         parts = []
         for at in range(0, len(samples), self.lag):

@@ -214,7 +214,8 @@ class LocalRig(RigDriver):
     def reset(self) -> None:
         """Start again at scan 0 with everything at rest, as the service `rig/reset` does.
 
-        The present configuration stays, injected faults end, and kept tables stay. Stamps of rig time continue, so no
+        The present configuration stays, and the drive starts with its frequency and amplitude instead of those last
+        commanded. Injected faults end, and kept tables stay. Stamps of rig time continue, so no
         stamp is used twice.
 
         Raises:

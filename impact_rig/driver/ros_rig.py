@@ -420,7 +420,10 @@ class RosRig(RigDriver):
         return self._kept_of(topic, self._collectors).tables()
 
     def journal(self) -> list[JournalEntry]:
-        """Return the journal entries that have arrived, oldest first: every input that changed the rig's state."""
+        """Return the journal entries that have arrived, oldest first: every input that changed the rig's state.
+
+        They go on across resets, and begin again with a `restart`.
+        """
         return self._collectors[topics.JOURNAL.name].entries()
 
     def newest(self, topic: str, count: int) -> NDArray[np.void]:
