@@ -415,7 +415,9 @@ class LocalRig(RigDriver):
             self._kept_from = first + len(one.rows)
 
     def _forget_early(self) -> bool:
-        """Drop the oldest early message of a topic in `ESSENTIAL` that has a later early one, to free memory.
+        """Drop the oldest message in `_early` whose topic has a later message there, to free memory.
+
+        `_early` has the messages of topics in `ESSENTIAL` that are older than all other kept messages.
 
         Returns:
             Whether there was such a message.

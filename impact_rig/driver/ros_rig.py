@@ -227,7 +227,8 @@ class RosRig(RigDriver):
     def _connect_stream(self) -> None:
         """Wait until this program, as the source of the drive's samples, has found all readers of the rig.
 
-        Otherwise, a recorder that connects late would lose the first samples.
+        Otherwise, a recorder that connects late would lose the first samples. If readers are not found within
+        `DISCOVERY_S`, the program continues without them.
         """
         self.client.publisher(topics.WAVEFORM)
         self._stream = self.client.collect(topics.STREAM.name)
@@ -269,7 +270,7 @@ class RosRig(RigDriver):
             The node.
 
         Raises:
-            ConfigError: the node does not subscribe to daq/scan.
+            ConfigError: the node does not subscribe to daq/scan when it is created.
         """
         node = self.client.host(make_node, **kwargs)
         if not self.client.acknowledge_callbacks(node):
@@ -317,7 +318,8 @@ class RosRig(RigDriver):
 
         Args:
             name: node name of the node.
-            output: topic on which the node answers every block, as for `start_node`.
+            output: topic on which the node answers every block, as for `start_node`. None: the node sends `daq/ack`
+                itself.
             timeout_s: time limit for the node to subscribe to daq/scan, and then to publish `output` [s], by default
                 30 each.
 
@@ -648,7 +650,8 @@ class RosRig(RigDriver):
         directory, run = Path(directory), self._run
         if run is None:
             raise RecordingError(
-                "there is no recording to save: start the rig with `record`, and save it once, before `stop_recording`"
+                "there is no recording to save: start the rig with `record`, and call `save` only once, instead of "
+                "`stop_recording`"
             )
         try:
             self.stop_recording()

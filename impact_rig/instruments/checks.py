@@ -109,14 +109,16 @@ def check_known_input(
         config: configuration of the rig; its planned faults do not act.
         faults: faults of the copy, which act all the time, whatever their own start and end; those of the whole board
             are ignored.
-        frequency_hz: frequency of the sine; choose a whole number of hertz, because one second is measured.
-        fraction: amplitude as a part of half the measuring range.
+        frequency_hz: frequency of the sine, > 0 and at most `shaker.frequency_max_hz`; choose a whole number of hertz,
+            because one second is measured.
+        fraction: amplitude as a part of half the measuring range; any finite number, above 1 it exceeds the range.
 
     Returns:
         One check per channel, in scan order.
 
     Raises:
-        CommandError: frequency or amplitude is out of range, or the channel of a fault is not present.
+        CommandError: the frequency is out of range, the amplitude is not finite, or the channel of a fault is not
+            present.
     """
     chain = Chain(config)
     chain.clear()  # the configuration's planned faults

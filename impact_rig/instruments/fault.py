@@ -327,8 +327,8 @@ class FaultBoard:
     ) -> None:
         """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings, in place.
 
-        `first` is the number of the first reading's scan, and `last` the reading before it; None at the start, where
-        the first reading is repeated instead.
+        The flags in `clipped` of the repeated readings are cleared. `first` is the number of the first reading's scan,
+        and `last` the reading before it; None at the start, where the first reading is repeated instead.
         """
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":

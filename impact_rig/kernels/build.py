@@ -343,7 +343,13 @@ def main() -> None:
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"
         "date files are kept, or copied to the folder."
     )
-    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="destination (default: the package)")
+    parser.add_argument(
+        "folder",
+        nargs="?",
+        type=Path,
+        default=FOLDER,
+        help="folder for library, object file and header (default: the package's own)",
+    )
     parser.add_argument(
         "--machine",
         default=this_machine(),

@@ -219,8 +219,8 @@ class AckWindow:
     def forget(self, name: str) -> None:
         """Drop the acknowledgements of a reader that no longer subscribes.
 
-        If the reader is a peer, its name stays one: the rig waits for a new node of this name to acknowledge the blocks
-        that the former node has not acknowledged.
+        If the reader is a peer, a node of this name remains a peer: the rig waits for a new node to acknowledge the
+        blocks that the former node has not acknowledged.
         """
         reader = self._readers.pop(name)
         if name in self.peers:

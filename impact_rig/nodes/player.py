@@ -157,8 +157,8 @@ class Player:
         """Publish the run once, from its start; yield its rig time [ns] often, so that the caller can stop.
 
         Raises:
-            RecordingError: a chunk of the run is damaged, or a pause is too long; the messages before it were
-                published.
+            RecordingError: a chunk of the run is damaged, or a message is more than an hour of rig time later than the
+                one before; the messages before it were published.
             ImpactRigError: a peer acknowledged nothing for 10 s of wall time although blocks were outstanding.
         """
         self.now_ns = self.start_ns

@@ -319,7 +319,8 @@ class Publishers:
 def _may_overflow(config: RigConfig) -> bool:
     """Return whether the blocks that may be unacknowledged can contain more messages than a subscriber's queue holds.
 
-    That is `QUEUE`. It is False in real time, where the rig does not wait for acknowledgements.
+    The queue certainly holds `QUEUE` messages. The result is False in real time, where the rig does not wait for
+    acknowledgements.
     """
     if config.time.mode == "realtime":
         return False

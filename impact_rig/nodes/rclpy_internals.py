@@ -129,7 +129,8 @@ class PollingEventsExecutor(EventsExecutor):
     def _watch_soon(self) -> None:
         """Schedule one poll of each new subscription, service and client, to run once the executor listens to it.
 
-        The executor has already requested to listen, and its requests run in order.
+        The executor processes requests in order. Listening was requested before, so the poll, which is requested here,
+        runs after it.
         """
         nodes = self.get_nodes()
         found = {one for node in nodes for one in (*node.subscriptions, *node.services, *node.clients)}

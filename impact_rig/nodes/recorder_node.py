@@ -287,7 +287,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._waiting = False
         if self._configuration is None:
             waited = f"within {self.settings.configuration_wait_s:g} s"
-            self.get_logger().warning(f"no message received on rig/configuration {waited}: the run contains none")
+            self.get_logger().warning(
+                f"no message received on rig/configuration {waited}: the run begins without a configuration"
+            )
         try:
             self._writer = self._open(self._configuration)
         except RecordingError as error:
@@ -469,7 +471,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Attach a calibration (`daq/info`) to the run as a YAML file for human readers, too: one per calibration."""
+        """Attach a calibration (`daq/info`) to the run as a YAML file for human readers, too.
+
+        Every table received during the run gets a file of its own.
+        """
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"
         writer.attach(Attachment(name, calibration_yaml(info).encode(), "application/yaml"), instead_of=CALIBRATION)
@@ -525,7 +530,7 @@ def run_directory(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError as error:  # an unknown user, as in ~unknown
-        raise RecordingError(f"directory {text!r} cannot be used: {error}") from error
+        raise RecordingError(f"directory {text!r} cannot be used: {error}; write its path without ~") from error
 
 
 def calibration_yaml(info: Table) -> str:

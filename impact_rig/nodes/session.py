@@ -421,7 +421,7 @@ class Session:
         _answer(self._pausing, False, "the rig was deactivated")
 
     def running(self) -> Rig:
-        """Return the rig that has started.
+        """Return the rig that has started, also if it is paused.
 
         Raises:
             CommandError: no rig has started; the message says why.
@@ -646,9 +646,10 @@ class Session:
     def resume(self, done: Done) -> None:
         """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
 
-        The rig does not wait for peers that are silent now until they acknowledge again, nor for the samples that a
-        silent controller has not sent. Waiting requests to pause are answered with an error, and so are those for steps
-        unless the time mode is `lockstep`. A rig that is not paused and waits for neither is not affected.
+        The rig does not wait for peers that are silent now until they acknowledge again. If the controller is silent,
+        its stream ends after the samples that have arrived. Waiting requests to pause are answered with an error, and
+        so are those for steps unless the time mode is `lockstep`. A rig that is not paused and waits for neither is not
+        affected.
 
         Raises:
             CommandError: no rig has started.
