@@ -130,7 +130,7 @@ class DuplicatePublishers:
             if self._sentence != before:
                 logger = self._node.get_logger()
                 logger.error(self._sentence) if self._sentence else logger.info(
-                    "no other node publishes topics of this rig now"
+                    "no node other than this rig publishes its topics now"
                 )
         return self._sentence
 

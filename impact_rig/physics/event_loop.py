@@ -364,9 +364,10 @@ def account_contact(model: Model, f: DriveSegment, s: Record, step: Record, ledg
 def _contact_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
     """Advance a contact to the event that ends it, or to `t_end`; return the event, PAUSED, or FAILED if unsolvable.
 
-    `t_end` is the end of the drive segment, since its start [s]. The result is also PAUSED, before `t_end`, after the
-    largest number of steps in one call; the caller then calls again. The losses in the contact are always accounted;
-    the drive's work and the losses in columns and shaker only if `account` is true.
+    `t_end` is the end of the drive segment [s], counted from its start, like the time `t` of the state. The result is
+    also PAUSED, before `t_end`, after the largest number of steps in one call; the caller then calls again. The losses
+    in the contact are always accounted; the drive's work and the losses in columns and shaker only if `account` is
+    true.
     """
     p, s, step, ledger = model.parameters[0], work.states[0], work.step[0], work.ledger[0]
     if s.next_h == 0.0 and _apply_tabulated(model, f, work, t_end, account):

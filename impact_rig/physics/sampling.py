@@ -426,10 +426,10 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 
 @kernel
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
-    """Return the length in χ of a contact's step that takes about `since` seconds, by the whole step's dense output.
+    """Return the length, in the variable χ, of a shorter step of a contact that lasts about `since` seconds.
 
-    `s` is the state at the start of the step; `end_point`, the end of the whole step, is (its duration [s], w, δ'),
-    with w the square root of the indentation δ.
+    It is found from the dense output of the whole step `step`, which begins at the state `s`. `end_point`, the end of
+    the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ, in SI units.
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])

@@ -50,9 +50,10 @@ Columns = dict[str, NDArray[np.generic]]
 
 
 def batches(run: Run, topic: str) -> Iterator[Columns]:
-    """Yield the columns of a table topic in batches of about 4 MiB, with text as str, and the three leading columns.
+    """Yield the columns of a table topic in batches of about 4 MiB, with text as str.
 
-    If the messages of the topic have no rows, there is one batch of empty columns.
+    The columns `time`, `timestamp` and `earlier`, as this module describes them, precede those of the table. If the
+    messages of the topic have no rows, there is one batch of empty columns.
 
     Raises:
         RecordingError: the topic carries no tables, has no message, or has tables with different columns.

@@ -121,7 +121,8 @@ class Run:
 
     Args:
         path: a run directory or an MCAP file.
-        rig: namespace of the rig that relative names refer to; None means the only rig.
+        rig: namespace of the rig that relative names refer to; None means the only rig. With several, relative names
+            then raise an error.
 
     Attributes:
         topics: recorded topics by full name; each has a `count` of messages and a description `topic`.
@@ -561,7 +562,8 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
     Args:
         path: a run directory or an MCAP file, also one of rosbag2.
-        rig: namespace of the rig that relative names refer to; None means the only rig.
+        rig: namespace of the rig that relative names refer to; None means the only rig. With several, relative names
+            then raise an error.
 
     Returns:
         The run. It is a context manager that closes the files, and is read on demand.
@@ -850,7 +852,8 @@ class McapSource:
                 if fits is False:
                     raise DamageError("its checksum does not match")  # noqa: TRY301  (one place words both kinds of damage)
             except DamageError as error:
-                raise DamageError(f"{self.path}: the attachment at byte {index.offset} is damaged: {error}") from error
+                where = f"{self.path}: the attachment at byte {index.offset} is damaged"
+                raise DamageError(f"{where}: {error}; {_REMEDY}") from error
             found.append((attachment, fits is not None))
         return found
 
@@ -867,9 +870,8 @@ class McapSource:
             try:
                 record = records.parse(mcap_records.Metadata, self._record(index, records.METADATA))
             except DamageError as error:
-                raise DamageError(
-                    f"{self.path}: the metadata record at byte {index.offset} is damaged: {error}"
-                ) from error
+                where = f"{self.path}: the metadata record at byte {index.offset} is damaged"
+                raise DamageError(f"{where}: {error}; {_REMEDY}") from error
             found.append((record.name, record.metadata))
         return found
 

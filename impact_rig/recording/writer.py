@@ -165,7 +165,7 @@ class RunWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Number of bytes on disk in all files of the run."""
+        """Number of bytes on disk in all MCAP files of the run, without a tail."""
         return self._bytes_before + self._file.size
 
     @property
@@ -341,8 +341,9 @@ class RunWriter:
 
         Args:
             attachment: the file.
-            instead_of: name of the attachment to replace; if that one is a replacement itself, the name of the first
-                one. An empty name means the attachment with the same name as this one.
+            instead_of: name of the earlier attachment that this one replaces. If that one was itself a replacement,
+                give the name of the attachment that was stored first. An empty name means the attachment with the same
+                name as this one. If there is none of this name, the attachment is added.
         """
         self._attachments[instead_of or attachment.name] = attachment
 

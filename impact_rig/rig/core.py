@@ -241,7 +241,10 @@ class Rig:
 
     @property
     def frequency_hz(self) -> float:
-        """Commanded drive frequency [Hz] at the frontier; for a chirp, always its first frequency."""
+        """Commanded drive frequency [Hz] at the frontier; for a chirp, always its first frequency.
+
+        For a random drive or a stream it is the last commanded or configured value, which has no effect.
+        """
         return float(self._generator.frequency_hz)
 
     @property

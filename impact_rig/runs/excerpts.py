@@ -96,7 +96,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
         span_s = max(UNSETTLED_S, cycles_s, UNSETTLED_SCANS / rate_hz)
     first, origin_ns, rows = _newest_scans(run, last, span_s + HELD_S, rate_hz)
     if not len(rows):
-        raise RecordingError(f"{run.path} holds no scans to draw")
+        raise RecordingError(f"{run.path} holds no scans to draw: choose a run with scans")
     end_s = rows["time"][-1] if end_ns is None else (end_ns - origin_ns) / NS_PER_S
     within = (rows["time"] > end_s - span_s) & (rows["time"] < end_s + 0.5 / rate_hz)
     if np.count_nonzero(within) < FEWEST_DRAWN:

@@ -98,7 +98,7 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
     scan = next(name for name, topic in names.items() if topic is topics.SCAN)
     first = next(run.messages([scan], recorded_order=True), None)
     if first is None:
-        raise RecordingError(f"{run.path} holds no block of {topics.SCAN.name}")
+        raise RecordingError(f"{run.path} holds no block of {topics.SCAN.name} to analyse: choose a run with scans")
     others = sorted(run.messages(set(names) - {scan}, recorded_order=True), key=lambda one: one.publish_time)
     calibration = next((message for message in others if names[message.topic] is topics.INFO), None)
     if calibration is None:
@@ -430,7 +430,7 @@ def lag_s(run: Run, block_s: float) -> float:
 
 
 def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
-    """Return stamp [ns] and length of every recorded block of scans, and the tables of the live measurements.
+    """Return stamp [ns] and number of scans of every recorded block, and the tables of the live measurements.
 
     Latched measurements from before the first recorded scan are left out.
     """

@@ -444,7 +444,8 @@ def is_cut_short(run: Run) -> bool:
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
     """Write the messages of every intact chunk of a damaged or unfinished run to the new run directory `out`.
 
-    The messages of an open chunk, which its tail contains, are written as well.
+    If the recorder was killed while a chunk was open, the messages of this chunk are taken from its tail
+    (`*.mcap.tail`).
 
     Args:
         path: a run directory or an MCAP file; it is only read.

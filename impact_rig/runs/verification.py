@@ -169,9 +169,10 @@ def verify(run: Run) -> Verification:
 
 
 def _complete_blocks(run: Run) -> tuple[int, int]:
-    """Return the number of blocks of a killed recording of whose time no other message can be missing, and of the rest.
+    """Return the numbers of complete and of incomplete blocks of a recording whose recorder was killed.
 
-    The rest are the last blocks: messages of other topics may arrive later than scans, by `lag_s`.
+    A block is complete if no message of another topic can be missing for its time. The last blocks are incomplete,
+    because messages of other topics may arrive later than scans, by `lag_s`.
     """
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
@@ -280,8 +281,8 @@ def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> 
     """Return the messages on `shaker/waveform` by journal; a message near a reset may be in the lists of two journals.
 
     `sent` has the messages by the journal during which they were recorded, but stamps continue across a reset. A
-    message that was recorded after a reset and has an earlier stamp also belongs to the journal before it. A message
-    that was recorded before a reset and has a later stamp may also belong to the journal after it.
+    message that was recorded after a reset, with a stamp before that of the reset, also belongs to the journal before
+    it. A message that was recorded before a reset, with a later stamp, may also belong to the journal after it.
     """
     found = [list(blocks) for blocks in sent]
     for number, journal in enumerate(journals[1:], start=1):
@@ -323,7 +324,8 @@ def _verify(
 
     Returns:
         The result, and a block if a reset ends the journal: the first block of the re-simulation after the recorded
-        ones. The block is None if no reset ends the journal, or if the comparison ended with a difference.
+        ones, for `_is_missing` to check. The block is None if no reset ends the journal, or if the comparison ended
+        with a difference.
     """
     compared = 0
     try:
