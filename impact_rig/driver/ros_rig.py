@@ -491,7 +491,11 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned and injected instrument faults; `start_sample` of an injected one is as given to `inject`."""
+        """Planned and injected instrument faults.
+
+        `start_sample` of an injected fault is the number of the scan given to `inject`, although its parameter on the
+        node contains the time from the injection on.
+        """
         injected = {line for line, _ in self._injected}
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
@@ -502,6 +506,9 @@ class RosRig(RigDriver):
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.
+
+        The rig's node checks them later. It ignores samples that arrive too late (`late` of `stream_level`). If a
+        sample exceeds shaker or buffer, it drops all samples of the call, logs a warning and counts the rejection.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -552,8 +559,9 @@ class RosRig(RigDriver):
     def renew(self, config: RigConfig) -> None:
         """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
 
-        The nodes under test are ended, and a temporary recording is replaced by a new one. Between two tests, this is
-        faster than to start new processes.
+        The nodes under test are ended, and a temporary recording is replaced by a new one. A recording in a directory
+        that the user chose is finished, and no new one begins. Between two tests, this is faster than to start new
+        processes.
 
         Args:
             config: new configuration of the rig.
@@ -665,7 +673,9 @@ class RosRig(RigDriver):
             if any((self.directory / "logs").iterdir()):  # hosted nodes write none
                 shutil.copytree(self.directory / "logs", directory / "logs")
         except OSError as error:
-            raise RecordingError(f"the run cannot be copied to {directory}: {error}") from error
+            raise RecordingError(
+                f"the run cannot be copied to {directory}: {error}; copy it from {run} before the rig is closed"
+            ) from error
         return directory
 
     def close(self) -> None:
@@ -699,7 +709,10 @@ class RosRig(RigDriver):
                 on_scan(message)
 
         def on_scan(_message: Received) -> None:
-            """Acknowledge the block that the newest answer belongs to; an answer may arrive before the block itself."""
+            """Acknowledge the answered blocks that have arrived.
+
+            It is called for every block, and for every answer without a stamp, which may arrive before its block.
+            """
             known = min(answered, len(scans))
             if known > begin:
                 self.client.acknowledge_for(name, codec.header_stamp_ns(scans.received[known - 1].data))

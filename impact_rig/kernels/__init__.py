@@ -136,7 +136,7 @@ class Exported(NamedTuple):
 
     Attributes:
         function: the function in Python.
-        type: type of the function that is exported, which `around` makes.
+        type: type of the exported function.
         around: function that takes `function`, compiled, and returns the function to export, which calls it.
     """
 

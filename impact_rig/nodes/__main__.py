@@ -98,7 +98,7 @@ def show_help(node: str, use: Use, arguments: Sequence[str]) -> bool:
 
 
 def run(node: str, use: Use, module: str) -> None:
-    """Run a node as a program; `module` is the module whose `PROGRAM` creates the node.
+    """Run a node as a program; `use` is its help text, `module` the module whose `PROGRAM` creates the node.
 
     The program ends with a message and exit code 1 if ROS 2 is not installed.
     """

@@ -214,7 +214,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: lost messages by topic and, during a run, its directory, messages and size."""
+        """Return values for diagnostics: numbers of lost messages by topic, and those of the current run.
+
+        During a run, these are its directory, number of messages and size [MB].
+        """
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
             values |= {
@@ -404,7 +407,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         came_late = self._starting or self._newest_ns is not None  # otherwise the rig has not started
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
-            self.get_logger().warning(f"no message on {names} in the first {AWAIT_S:g} s: recording continues without")
+            self.get_logger().warning(
+                f"no message on {names} in the first {AWAIT_S:g} s: recording continues without these messages"
+            )
             self._awaited = set()
         if self._writer is not None:
             try:
@@ -494,8 +499,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
         The rig publishes the scans of a block last, and middleware and executor keep the order, so the other messages
         of the block have arrived before. The exceptions are messages that the middleware lost and sends again, because
-        this process was suspended or too slow. In real time, nothing is acknowledged until all of these must have
-        arrived. In the other time modes, the rig never sends more than the middleware can hold.
+        this process was suspended or too slow. In real time, nothing is acknowledged for `REPEATED_S` after that, by
+        when all of these have arrived. In the other time modes, the rig never sends more than the middleware can hold.
 
         Returns:
             False also if the run has failed or lacks a message of the rig that never arrived.

@@ -35,8 +35,8 @@ class RigNode(ManagedNode[RigConfig]):
     """Lifecycle node whose activation starts the simulated rig, and whose deactivation ends it.
 
     Args:
-        discovery_s: time [s] from the creation of the node until which `configure` waits, so that the node has
-            discovered other rigs on its topics; it does not wait if a lock file shows them.
+        discovery_s: time [s] after the creation of the node before which `configure` does not return, so that the node
+            has discovered other rigs on its topics. It does not wait if a lock file would show any other rig.
         kwargs: passed to `ManagedNode`.
     """
 

@@ -184,7 +184,7 @@ COUNTED_TOGETHER = 32  # number of blocks whose scans are checked together
 
 
 class Counts:
-    """Counters of a rig since its activation: blocks, impacts, active faults, scans over range."""
+    """Counters of a rig since its activation (blocks, impacts, scans over range), and its active faults."""
 
     def __init__(self) -> None:
         self.blocks = 0
@@ -338,7 +338,8 @@ class Session:
     def activate(self) -> None:
         """Start the rig as soon as no other rig publishes its topics or holds its namespace, at once if there is none.
 
-        In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`.
+        In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`; then it
+        starts without those that are missing.
         """
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
