@@ -483,7 +483,7 @@ def _quantities_in_contact(
 
     `point` is (time since the start of the step [s], w, δ'), with w the square root of the indentation δ.
     `solved_there` is true if the step has been solved to end at the point. Only then is the effect of the indentation
-    on the structure through the columns known; otherwise that millionth is left out.
+    on the structure through the columns known. Otherwise it is left out, as it changes the result by a millionth.
     """
     p, side = model.parameters[0], s.side
     since, w, speed = point

@@ -187,8 +187,8 @@ class Stream:
     def put(self, first: int, values: NDArray[np.float64]) -> int:
         """Store a block of samples, numbered from `first` on; return how many came too late and were ignored.
 
-        A sample is too late if its number is below `played`. An empty block ends the stream at `first`, or at `played`
-        if that is later.
+        A sample is too late if its number is below `played`; others replace stored samples of the same number. An empty
+        block ends the stream at `first`, or at `played` if that is later.
 
         Raises:
             CommandError: the block reaches further ahead than the buffer does; nothing is stored.

@@ -156,8 +156,8 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
     """Return the columns of the rows of tables with equal columns; `time` counts from `origin_ns`.
 
     `earlier` states for each table whether its message was published before the recording began. A column of the
-    tables with the name of a leading column (`leading`) becomes `<name>_of_table`, except a numeric `time`: the time of
-    a row after the stamp of its table [s], which is added to the leading `time`.
+    tables with the name of a leading column (`leading`) becomes `<name>_of_table`. A numeric column `time` does not: it
+    counts from the stamp of each table [s], so it is added to that stamp, which gives the leading `time`.
     """
     rows = np.concatenate([table.rows for table in tables])
     counts = [len(table.rows) for table in tables]

@@ -63,7 +63,11 @@ _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
 class Message(NamedTuple):
-    """Recorded message; times in ns, `data` are its CDR bytes as a view of its chunk."""
+    """Recorded message: its log time [ns of rig time], the time at which it was published [ns], and its CDR bytes.
+
+    `publish_time` is by the system clock of the publisher, or equals `log_time` if the recorder did not know it. `data`
+    is a view of the message's chunk, which stays in memory for as long as the view.
+    """
 
     topic: str
     type_name: str
@@ -224,7 +228,7 @@ class Run:
                     if verified is None:
                         raise DamageError(
                             f"{self.path}: the metadata record {name!r} has no checksum, or does not match it, so it "
-                            "was damaged or changed after the recording"
+                            "was damaged or changed after the recording: impact-rig recover writes a run without it"
                         )
                     return verified
         return {}
@@ -1027,7 +1031,7 @@ def parse_summary(section: memoryview) -> Summary:
 
 
 def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
-    """Raise an error if two chunks in an index overlap, because a short file could then claim endless content."""
+    """Raise a DamageError if two chunks in an index overlap: a short file could then claim endless content."""
     ends_at = 0
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset

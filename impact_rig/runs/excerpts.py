@@ -64,7 +64,10 @@ class Excerpt:
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
 
     def __str__(self) -> str:
-        """Return the first and last time of these scans and why they were chosen, as text for titles and messages."""
+        """Return the first and last time of these scans and why they were chosen, as text for titles and messages.
+
+        Times are in seconds since the first scan of the run, as in `rows`.
+        """
         where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"
 
@@ -251,7 +254,10 @@ def sines_of(run: Run, excerpt: Excerpt) -> Sines:
         RecordingError: the drive frequency is unknown, or the reference channel has no sine near that frequency.
     """
     if not excerpt.drive_hz > 0.0:
-        raise RecordingError(f"{run.path} holds no drive frequency (shaker/applied) for the scans {excerpt}")
+        raise RecordingError(
+            f"{run.path} holds no drive frequency (shaker/applied) for the scans {excerpt}: choose a run with a "
+            "drive of one frequency"
+        )
     samples = {name: np.asarray(excerpt.rows[name], dtype=np.float64) for name in channels_of(excerpt.rows)}
     name = next(name for name in REFERENCES if name in samples)
     reference = fit_sine_frequency(samples[name], excerpt.rate_hz, excerpt.drive_hz)

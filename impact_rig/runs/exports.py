@@ -224,7 +224,7 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
 def _response_functions(
     numbers: Mapping[str, NDArray[np.float64]], curve: NDArray[np.generic] | None
 ) -> Iterator[dict[str, object]]:
-    """Yield the datasets of X_1/X_b over frequency: one per text in `curve`; without `curve`, one per gap.
+    """Yield the datasets of X_1/X_b over frequency: one per text in `curve`; without it, one per value of `gap`.
 
     Rows without a finite value are left out, and so are functions with fewer than two rows.
     """

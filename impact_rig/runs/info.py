@@ -271,7 +271,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return a clause for each missing file of a run: a further file that the last one names, and `metadata.yaml`."""
+    """Return a clause for each missing file: `metadata.yaml`, and the next file if the last present one names it."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []

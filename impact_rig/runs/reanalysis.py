@@ -513,7 +513,7 @@ def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, 
 
 
 def _instants(tables: Iterable[Table], rate_hz: int) -> list[tuple[int, np.void]]:
-    """Return each row of tables of impacts after the index of the scan nearest to its time, in the order of scans."""
+    """Return (index of the scan nearest to its time, row) for each row of tables of impacts, in the order of scans."""
     found = [
         (scan_index(table.stamp_ns + round(float(row["time"]) * NS_PER_S), rate_hz), row)
         for table in tables

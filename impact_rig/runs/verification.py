@@ -480,7 +480,7 @@ class _Recorded:
 
         If recorded messages with earlier stamps precede it, the first of them counts as a difference. Before the first
         message of the topic has been compared, they are left out instead, and a missing message is no difference.
-        After the end of the recording, `end` decides whether the missing messages are one.
+        If no recorded message is left, `end` decides whether the missing ones count as a difference.
 
         Args:
             stamp_ns: stamp of the re-simulated message [ns].
