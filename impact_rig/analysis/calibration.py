@@ -269,7 +269,7 @@ class Calibration:
         return math.hypot(math.sqrt(2.0 * float(weight**2 @ power)), truncated)
 
     def steps_variance(self, channel: int) -> float:
-        """Return the variance of the rounding error of a channel's sample, averaged over the sample's noise [unit²].
+        """Return the variance [unit²] of that part of a channel's rounding error that noise does not average out.
 
         It is at most r²/12 + q²/12, for the steps r of the sensor and q of the converter.
         """
@@ -328,6 +328,8 @@ class Calibration:
 
     def lag_sensitivity(self, channel: int, frequency_hz: float) -> complex:
         """Return d ln L / d ln lag, the change of a channel's response L per relative change of its sensor's lag.
+
+        L is that of `LAG_MODELS` for the channel's `lag_order`.
 
         The real part is the relative change of the amplitude, the imaginary part that of the phase [rad].
         """

@@ -39,12 +39,14 @@ def settled_period(
     """Return the number of drive cycles after which a motion that has settled repeats, or 0 if it has not (yet).
 
     Args:
-        rows: Re x_b, Im x_b, Re x_1, Im x_1, x_2 and v_2 of each cycle, SI, shape (n, 6).
+        rows: Re x_b, Im x_b, Re x_1 and Im x_1 of each cycle, and x_2 and v_2 of the sphere at its start, SI, shape
+            (n, 6).
         strikes: 1 for each cycle and part of it with an impact, 0 elsewhere, shape (n, parts).
         omega: angular frequency of the drive [rad/s].
-        tolerance: largest relative change per period, and largest sum of all further changes.
+        tolerance: limit of the relative change in the last period, and of the sum of all later changes, which are
+            extrapolated as a geometric series.
         repetition: rms deviation of x_1, relative to its mean, up to which its amplitude repeats.
-        longest: longest period considered.
+        longest: longest period considered [cycles].
         scaled: scratch memory of the shape of `rows`.
     """
     if not _scale(rows, omega, scaled):
@@ -65,7 +67,10 @@ def settled_period(
 
 @kernel
 def _scale(rows: Reals, omega: float, scaled: Reals) -> bool:
-    """Fill `scaled` with the dimensionless rows; return whether the mean amplitudes of both bases are positive."""
+    """Fill `scaled` with the dimensionless rows, and return True.
+
+    Return False, with `scaled` unchanged, if the mean amplitude of x_b or x_1 is not positive and finite.
+    """
     n = rows.shape[0]
     x_b, x_1 = 0.0j, 0.0j
     for k in range(n):
@@ -83,7 +88,10 @@ def _scale(rows: Reals, omega: float, scaled: Reals) -> bool:
 
 @kernel
 def _change(scaled: Reals, quantity: int, period: int, k: int) -> float:
-    """Return the change of a quantity of the scaled rows from cycle k to cycle k + `period`."""
+    """Return the magnitude of the change of a quantity of the scaled rows from cycle k to cycle k + `period`.
+
+    The quantities 0 to 3 are x_b, x_1, x_2 and v_2.
+    """
     after, place = k + period, 2 * quantity if quantity < 2 else quantity + 2  # the first two are complex
     imag = scaled[after, place + 1] - scaled[k, place + 1] if quantity < 2 else 0.0
     return modulus(complex(scaled[after, place] - scaled[k, place], imag))
@@ -103,7 +111,10 @@ def _largest_changes(scaled: Reals, quantity: int, period: int) -> tuple[float, 
 
 @kernel
 def _is_over(scaled: Reals, period: int, tolerance: float) -> bool:
-    """Return whether all later changes per period, as a geometric series, are together at most `tolerance`."""
+    """Return whether all later changes per period are together at most `tolerance`.
+
+    They are extrapolated as a geometric series. Changes that do not decay give False.
+    """
     half = (scaled.shape[0] - period) // 2
     for quantity in range(_QUANTITIES):
         early, late = _largest_changes(scaled, quantity, period)

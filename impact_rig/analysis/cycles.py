@@ -371,8 +371,8 @@ def _add_wave(
 def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: float, cosine: float, sine: float) -> None:
     """Add the sums of channel j over a stretch to those of the cycle, rotated by the phase at the stretch's middle.
 
-    `even` and `odd` are the sums with cosine and sine, for phase 0 in the middle; `cosine` and `sine` are those of the
-    actual phase there.
+    `even` and `odd` are the sums of the samples times cosine and sine of the phase since that middle. `cosine` and
+    `sine` are those of the phase of the middle itself.
     """
     at_cosine[j] += even * cosine - odd * sine
     at_sine[j] += even * sine + odd * cosine

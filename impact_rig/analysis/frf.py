@@ -170,7 +170,8 @@ def _excited(s_xx: Real, floor: float, window: str) -> tuple[NDArray[np.intp], b
 
     Excited lines have at least `EXCITED` of the power of the strongest line, and `ABOVE_NOISE` times that of the noise.
     It is a sine if all excited lines are so close to the strongest one that the window alone explains their width; then
-    only the index of the strongest is returned. `floor` is the power density of the noise.
+    only the index of the strongest is returned. Without an excited line, there are no indices and it is no sine.
+    `floor` is the power density of the noise.
     """
     power = s_xx[1:]
     peak = int(np.argmax(power))

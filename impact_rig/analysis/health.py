@@ -85,8 +85,8 @@ def unsound(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> Re
     """Return why cycles must not be averaged, or None if they may.
 
     Reasons are that laser, base or current is over range or not finite, that laser or base is constant, or that one of
-    these two jumps or is far noisier than its calibration. Jumps and noise are judged only in a channel that measures
-    displacement, since an impact makes a velocity or an acceleration jump.
+    these two jumps or is far noisier than its calibration states. Jumps and noise are judged only in a channel that
+    measures displacement, since an impact makes a velocity or an acceleration jump.
     """
     flags = int(np.bitwise_or.reduce(cycles.flags))
     finite = np.logical_and.reduce(np.isfinite(cycles.mean)).tolist()
@@ -122,8 +122,8 @@ def silent(amplitudes: tuple[float, float], floors: tuple[float, float]) -> Reje
 def _still(still: list[bool], alone: Status) -> Rejection | None:
     """Return a rejection if laser or base stands still; else None.
 
-    `still` tells for laser and base, in this order, whether it stands still. The status is `silence` if both do, and
-    `alone` if only one does.
+    `still` tells for laser and base, in this order, whether it stands still. The status is `silence` if both do. If
+    only one does, it is `alone`, and the rejection names that channel.
     """
     if all(still):
         return Rejection(Status.SILENCE)
@@ -276,8 +276,8 @@ def current_unsound(
     """Return whether the measured coil current is unreliable: stuck, disturbed, or changed alone since a row `before`.
 
     `before` is an earlier row of the same setting. DT does not depend on the current. A constant current counts as
-    stuck only if the noise of the channel exceeds a step of the converter, so that a working channel cannot be
-    constant. The current is not compared with the command, since a prescribed base or a voltage drive may have none.
+    stuck only if the noise of the channel exceeds a step of the converter: only then must a working channel vary. The
+    current is not compared with the command, since a prescribed base or a voltage drive may have none.
     """
     stuck = calibration.noise[CURRENT] > calibration.converter_step[CURRENT] and _constant(cycles)[CURRENT]
     if stuck or _rough(cycles, calibration, found.frequency_hz)[CURRENT]:
@@ -290,7 +290,10 @@ def current_unsound(
 
 
 def _changes(before: Amplitudes, now: Amplitudes) -> tuple[Real, Real]:
-    """Return ln(now / before) of the amplitudes of all channels, and the largest such change that noise explains."""
+    """Return ln(now / before) of the amplitude of each channel, and how far noise alone may change it, both shape (4,).
+
+    The latter is `NOISES` standard uncertainties of the ratio.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(now.size / before.size), NOISES * np.hypot(before.relative, now.relative)
 

@@ -114,7 +114,7 @@ def _high_pass(corner_hz: float, rate_hz: float) -> NDArray[np.float64]:
 
 
 class ImpactDetector:
-    """Detector of impacts in a stream of acceleration; its result does not depend on the division into blocks."""
+    """Detector of impacts in the stream of the accelerometer; the division into blocks does not change its result."""
 
     def __init__(self, calibration: Calibration, settings: ImpactSettings | None = None) -> None:
         settings = settings or ImpactSettings()

@@ -125,7 +125,7 @@ class ScanBuffer:
     """Buffer of consecutive scans, stored channel by channel, in arrays that grow as needed.
 
     Attributes:
-        samples: samples by channel of `CHANNELS` and by scan, shape (4, capacity).
+        samples: samples by channel of `CHANNELS` and by scan, in SI units as in `daq/scan`, shape (4, capacity).
         status: status bits of the scans, shape (capacity,).
         first: index of the scan in column 0.
         end: index after the newest scan.

@@ -115,8 +115,8 @@ def is_stationary(windows: Complex) -> bool:
     """Return whether a fluctuating response has settled: it has neither a trend nor a growing or decaying fluctuation.
 
     `windows` is the complex transmissibility in successive windows, shape (n,), n >= 16. The means of the halves may
-    differ by `TREND_LIMIT` standard deviations (including correlation between windows) in either component, the
-    fluctuation powers of the halves by a factor `POWER_LIMIT`.
+    differ by `TREND_LIMIT` standard deviations of this difference (including correlation between windows) in either
+    component, the fluctuation powers of the halves by a factor `POWER_LIMIT`. Of an odd number, the last is left out.
     """
     half = len(windows) // 2
     first, second = windows[:half], windows[half : 2 * half]
@@ -260,9 +260,10 @@ class Judge:
         return attrs.evolve(found, status=Status.NOT_SETTLED) if found.status in MEASURED else found
 
     def _given(self, found: Measurement | None) -> Measurement | None:
-        """Register a measurement as the newest row, and return it after the comparison with the row before.
+        """Register a measurement as the newest row, and return the row to emit; None stays None.
 
-        None stays None. A measurement without impacts gets the status `no_impacts` if a sphere may be present.
+        If one channel alone has changed since the last good row, that row has only a status and the name of the
+        channel. A measurement without impacts gets the status `no_impacts` if a sphere may be present.
         """
         self._held = None
         if found:
@@ -396,9 +397,10 @@ class Judge:
         return measure(cycles, self._calibration, self.frequency_hz, self._settings, bias, self._reference, worst)
 
     def _noise(self, ratio: float) -> float:
-        """Return the standard uncertainty of X_1 / X_b = `ratio` due to the noise in the mean of `windows` windows.
+        """Return the standard uncertainty of X_1 / X_b = `ratio` due to noise, if it is averaged over several windows.
 
-        The noise is that of the newest window. If the base does not move or `ratio` is not finite, it is infinite.
+        Their number is the setting `windows`. The noise is that of the newest window. If the base does not move or
+        `ratio` is not finite, the result is infinite.
         """
         window = self._windows[-1]
         per_channel = self._noise_per_scan

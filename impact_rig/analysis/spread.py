@@ -79,11 +79,11 @@ def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances of the mean of a series (real, imaginary part), estimated from the means of its batches.
 
     A batch is one of `batches` parts of the series of equal length. Batches much longer than the correlation are
-    practically independent, however the correlation decays (Schmeiser 1982, Operations Research 30, 556–568). If they
-    are shorter, the variance V_b from b batches is too small by an error that is proportional to b. 2V_b − V_2b is free
-    of this error (Vats & Flegal 2022, Biometrika 109, 735–750). The larger of V_b and 2V_b − V_2b is used. The factor
-    `student_2u` accounts for the small number of batches. The values have shape (n,), n >= batches >= 2; the result has
-    shape (2,).
+    practically independent, however the correlation decays (Schmeiser 1982, Operations Research 30, 556–568). Shorter
+    ones give a variance V_b from b batches that is too small; the error is proportional to b. V_2b is the variance from
+    twice as many batches. 2V_b − V_2b is free of the error (Vats & Flegal 2022, Biometrika 109, 735–750). The larger of
+    V_b and 2V_b − V_2b is used; it is V_b if n < 2b. The square of `student_2u` accounts for the small number of
+    batches. The values have shape (n,), n >= batches >= 2; the result has shape (2,).
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
@@ -141,7 +141,7 @@ def classify(deviation: Complex, noise_variance: float, tolerance: float, strike
         deviation: relative deviation ε_k of the fundamental of x_1 in each cycle, shape (n,).
         noise_variance: E|ε|² that noise alone causes.
         tolerance: rms of ε up to which a deviation is negligible.
-        strikes: phases of the impacts (`Cycles.strikes`), shape (n, bins).
+        strikes: 1 for each cycle and part of it with an impact, 0 elsewhere (`Cycles.strikes`), shape (n, bins).
 
     Returns:
         The behaviour; its regime is `unknown` for n < 4 or values that are not finite.
@@ -172,7 +172,7 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
 
     p is the smallest number from 1 to `longest` for which amplitude and impacts repeat, or 0 if there is none. The
     amplitude repeats if the variance of ε_k within the classes k mod p is at most `limit` for some p. `deviation` are
-    the real and imaginary parts of ε_k, shape (n, 2). `strikes` are the phases of the impacts, shape (n, bins).
+    the real and imaginary parts of ε_k, shape (n, 2). ε_k and `strikes` are those of `classify`.
     """
     n, steady = deviation.shape[0], False
     for period in range(1, longest + 1):
@@ -221,7 +221,7 @@ def _strikes_repeat(strikes: Bytes, period: int) -> bool:
 def _line_share(deviation: Complex) -> float:
     """Return the share of a series' fluctuation power in its `LINES` strongest spectral lines.
 
-    The window is that of Hann, whose main lobe is 5 bins wide.
+    Each line is 5 bins wide, as the main lobe of the Hann window that is used.
     """
     n = len(deviation)
     power = np.abs(np.fft.fft((deviation - deviation.mean()) * np.hanning(n + 1)[:n])) ** 2

@@ -178,8 +178,8 @@ class Tracker:
     def configure(self, info: Table) -> None:
         """Register the calibration, which applies from the table's stamp on; a repetition of the last table is ignored.
 
-        If the table has another time of scan 0 or another scan rate than the last one, the rig was reset: the scans
-        from then on are measured as a new record.
+        Another calibration ends the measurement in progress. If the table has another time of scan 0 or another scan
+        rate than the last one, the rig was reset: the scans from then on are measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -217,7 +217,8 @@ class Tracker:
         """Register commands to the drive.
 
         Args:
-            applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on.
+            applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If the
+                scans from then on have been measured already, it applies to the next scan, and is counted as late.
 
         Raises:
             ConfigError: the table is invalid, or its times are not numbers.
@@ -236,8 +237,10 @@ class Tracker:
     def label(self, gap_m: float, stamp_ns: int) -> None:
         """Register the operator's label of the gap, which the rows of the measurement state.
 
+        A changed label ends the measurement in progress.
+
         Args:
-            gap_m: gap [m]; 0 = no sphere, NaN = unknown.
+            gap_m: total gap [m]; 0 = no sphere, NaN = unknown.
             stamp_ns: rig time from which the label applies [ns].
         """
         self._schedule(stamp_ns, GapLabel(gap_m, stamp_ns))
@@ -351,7 +354,7 @@ class Tracker:
     def _take_early(self, first_ns: float, end_ns: float = math.inf) -> list[Table]:
         """Return the blocks waiting for the first calibration that begin from `first_ns` to before `end_ns` [ns].
 
-        The others are dropped and counted, also the oldest ones of more than `MOST_EARLY`.
+        At most `MOST_EARLY` blocks are returned, the newest ones. All others are dropped, and their scans are counted.
         """
         early, self._early = self._early, []
         kept = [one for one in early if first_ns <= one.stamp_ns < end_ns][-MOST_EARLY:]
@@ -422,7 +425,7 @@ class Tracker:
         self._hold = max(self._hold, self._detector.behind)
 
     def _begin_again(self, reset: _Reset) -> None:
-        """Apply a reset of the rig: measure the delayed scans before it, and begin a new record with those after it."""
+        """Apply a reset of the rig: measure the scans before it that still wait, and begin a new record after it."""
         buffer, end = self._buffer, self._buffer.end
         cut = scan_index(reset.start_ns, self._rate, self._start_ns)
         if cut > end or not self._started:
@@ -562,7 +565,7 @@ class Tracker:
     def _add(self, accumulator: Accumulator) -> None:
         """Add the scans before `_measured` to their cycles, and set `_due`, the scan at which to do this again.
 
-        That is the end of the present window, or `ADD_S` later if that is earlier.
+        That is the end of the present window, but at most `ADD_S` after `_measured`.
         """
         buffer = self._buffer
         accumulator.add(buffer.samples, buffer.status, buffer.column(self._added), buffer.column(self._measured))
@@ -573,7 +576,8 @@ class Tracker:
     def _quiet(self, scan: int, struck: float) -> ImpactPause:
         """Return the wait for a sphere at a scan: the time without impacts so far, and how long it may delay a row.
 
-        The last impact was at the scan `struck`; NaN means that there was none.
+        The last impact was at the scan `struck`; NaN means that there was none. The time counts from the last impact,
+        the start of the drive or that of the label, whichever is latest.
 
         With a label, the wait is the time to cross the gap at `slowest_speed`, at most `wait_limit_s`, and 0 for a gap
         of 0. Without a label, the first impact proves that there is a sphere; the wait is then `wait_limit_s`, because

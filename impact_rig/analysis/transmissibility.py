@@ -275,7 +275,7 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
 def _amplitude_u(phasors: Complex, white: float) -> float:
     """Return the standard uncertainty of the amplitude of the mean of some phasors.
 
-    It follows from their scatter, or from the variance `white` that white noise causes in the mean, if that is larger.
+    It follows from their scatter, or from `white`, the E|…|² that white noise causes in the mean, if that is larger.
     """
     n = len(phasors)
     scatter = float(np.sum(np.abs(phasors - phasors.mean()) ** 2)) / (n * (n - 1))
@@ -329,10 +329,11 @@ def _parts(
 def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> list[_Part]:
     """Return the contributions to the uncertainty of DT and phase by the steps of laser and base.
 
-    For a pure sine sampled at many phases, the error of rounding changes only the amplitude (`calibration`). Overtones
-    turn a part of this error into an error of the phase, and all of it if they are as large as a step. If the n samples
-    fall on only N different drive phases, the errors at these do not average out, and affect amplitude and phase alike.
-    With v from `steps_variance`, their variance is 2 v / N instead of the 2 v / n that the scatter shows.
+    For a pure sine sampled at many phases, the error of rounding changes only the amplitude (`calibration`). With
+    overtones, the phase has such an error too, as large as that of the amplitude if they are at least a step. If the n
+    samples fall on only N different drive phases, the errors at these do not average out, and affect amplitude and
+    phase alike. With v from `steps_variance`, their variance is 2 v / N. The scatter of the cycles contains only
+    2 v / n of it, so the rest is added here.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)

@@ -203,7 +203,7 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 def _paired(found: list[Complex]) -> list[Complex] | None:
     """Return the real roots, then those with a positive imaginary part, in the order of `roots`.
 
-    None is returned if the remaining roots cannot be the conjugates of the latter, because their number differs.
+    Return None if not every root of the latter has a conjugate: the number of roots left differs from theirs.
     """
     real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
     upper = [z for z in found if z.imag > _BLUR * abs(z.real)]

@@ -54,7 +54,7 @@ def _ziggurat() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the right end of each layer of the ziggurat, the lowest first, and the density there.
 
     Both have the shape (_LAYERS + 1,). The density is exp(−x²/2), without a factor. Entry 0 is the width of a rectangle
-    with the area of the lowest layer and its tail, and has the density 0.
+    with the area of the lowest layer and its tail; the density in that entry is set to 0.
     """
     plain_exp, plain_log = getattr(exp, "py_func", exp), getattr(log, "py_func", log)  # importing compiles nothing
     ends, density = np.zeros(_LAYERS + 1), np.ones(_LAYERS + 1)
@@ -81,7 +81,7 @@ class Random:
         seed: seed of the stream.
 
     Attributes:
-        state: state of the generator, 64-bit words, shape (4,), for compiled code that fills arrays itself.
+        state: state of the generator, 64-bit words, shape (4,). Compiled code that draws numbers itself advances it.
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:
@@ -128,7 +128,7 @@ def _next(
 def _beyond(
     s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Return a normal number above `_TAIL`, the right end of the lowest layer, and the generator's next state.
+    """Return the magnitude of a normal number beyond `_TAIL`, the right end of the lowest layer, and the next state.
 
     The method is that of Marsaglia (1964).
     """
@@ -144,11 +144,11 @@ def _beyond(
 def _rejected(
     bits: np.uint64, x: float, s0: np.uint64, s1: np.uint64, s2: np.uint64, s3: np.uint64
 ) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
-    """Accept or reject a candidate x for a normal number, and draw other candidates until one is accepted.
+    """Accept or reject a candidate x for the magnitude of a normal number, and draw others until one is accepted.
 
     x lies in a part of its layer that the layer above does not cover, where not every candidate is accepted. `bits` are
-    the random bits that x was made from. The result is the bits of the accepted number, that number, and the
-    generator's next state.
+    the random bits that x was made from. The result is the bits of the accepted magnitude, from which the caller takes
+    the sign, that magnitude, and the generator's next state.
     """
     while True:
         layer = np.int64(bits & _BYTE)
@@ -262,7 +262,8 @@ def _digital_poles(prototype: Complex, width: Decimal, omega_0_square: Decimal) 
 def _noise_power(poles: list[Complex]) -> Decimal:
     """Return the power Σ b_n² of white noise of unit power after it has passed (1 − z⁻²)⁴ / Π (1 − p_k z⁻¹).
 
-    p_k are `poles`. The filter is c + Σ r_k / (1 − p_k z⁻¹) in partial fractions, and b_0 = 1.
+    p_k are `poles`: distinct, inside the unit circle, with each complex pole and its conjugate. The sum over n follows
+    from the partial fractions of the filter, c + Σ r_k / (1 − p_k z⁻¹), and b_0 = 1.
     """
     residues = [_residue(k, poles) for k in range(len(poles))]
     power_after_first = ZERO

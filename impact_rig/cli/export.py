@@ -42,8 +42,8 @@ def run_export(arguments: argparse.Namespace) -> int:
     """Run `impact-rig export`: write the requested table to a file, print the file's path and return exit code 0.
 
     Raises:
-        ConfigError: the directory has no table of that name.
-        RecordingError: the file cannot be written, or the run cannot be read.
+        ConfigError: the campaign, map or study has no table of that name.
+        RecordingError: the file cannot be written, or the run cannot be read or has no such table.
     """
     path, target = arguments.path, arguments.target
     exporters: Iterator[Exporter] = (one.load() for one in metadata.entry_points(group=GROUP))

@@ -135,7 +135,7 @@ def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
 
 
 def _whole(name: str) -> str | None:
-    """Return the topic that a column belongs to, from its name `topic T, column C`; None for any other name.
+    """Return `topic T` for the name of a column, `topic T, column C`; None for any other name.
 
     `differences` uses it to list only the topic, and not each column, if a topic is removed or new.
     """
@@ -158,6 +158,8 @@ def _offers(less: str, more: str) -> Callable[[Any, Any, Row], bool]:
 
 def _reaches(sign: float) -> Callable[[Any, Any, Row], bool]:
     """Return a function for `_BREAKS`: whether a changed bound breaks clients, because the rig accepts fewer values.
+
+    Bounds of what the rig publishes never do. None is no bound.
 
     Args:
         sign: +1 for an upper bound, -1 for a lower one.

@@ -147,7 +147,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _complete() -> None:
-    """Answer a shell's request for completions and exit; return without an answer if argcomplete is not installed."""
+    """Answer a shell's request for completions and exit; return if there is none, or argcomplete is not installed."""
     try:
         import argcomplete  # noqa: PLC0415  # an extra
     except ImportError:

@@ -125,7 +125,8 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
     """Add the options that select where a rig runs, and describe one that the command starts.
 
     Args:
-        parser: parser of a command. Any way but `PROCESS` makes the program check for ROS 2 before it runs the command.
+        parser: parser of a command. If its user chooses another way than `PROCESS`, the program checks for ROS 2 before
+            it runs the command.
         ways: places where the rig can run, of `WAYS`.
         needs: what the configuration of a running rig must have, for the help.
     """
@@ -146,7 +147,7 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
     parser.add_argument(
         "--sphere-start",
         choices=("left", "centre", "right"),
-        help="position of the sphere between the barriers at the start (default: as configured)",
+        help="start position of the sphere: left or right barrier, or centre between them (default: as configured)",
     )
 
 

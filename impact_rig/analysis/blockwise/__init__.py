@@ -116,7 +116,7 @@ class Intervals:
         self._pending = Recent(rate_hz, 1 << 40)
 
     def follows(self, scan: Table) -> bool:
-        """Return whether a block follows the one before without a gap; False for the first block."""
+        """Return whether a block follows the newest one that was fed, without a gap; False for the first block."""
         return self._pending.follows(scan)
 
     def feed(self, scan: Table) -> Iterator[Interval]:
