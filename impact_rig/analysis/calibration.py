@@ -147,7 +147,7 @@ class Calibration:
         A channel without a row is not `present`; a figure that is NaN (unknown) becomes 0.
 
         Raises:
-            ConfigError: there is no row of a known channel, or two rows of one channel; or the rates differ or are not
+            ConfigError: no row is of a known channel, or two rows are of the same one; or the rates differ or are not
                 positive, a range is empty, a lag order is unknown, or a figure is too large.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
@@ -209,8 +209,10 @@ class Calibration:
     def response(self, channel: int, frequency_hz: Real | float) -> Complex:
         """Return the response of a channel, (iω)ⁿ·L(ω)·P(ω)·e^{iω·skew}, in the shape of `frequency_hz`.
 
-        It is the measured phasor [unit of the channel] divided by the true one of the displacement [m]; n is 0 for
-        accelerometer and current. Divide a measured phasor by it to correct the phasor.
+        L is the lag, P the high-pass of the sensor (module docstring). For laser and base, the response is the measured
+        phasor [unit of the channel] divided by that of the displacement [m]; n is 1 if the channel measures velocity, 2
+        if acceleration, else 0. For accelerometer and current, it is the measured phasor divided by the true one, and n
+        is 0. Divide a measured phasor by it to correct the phasor.
         """
         omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
         lag = LAG_MODELS[int(self.lag_order[channel])](omega * self.lag[channel])
@@ -232,9 +234,10 @@ class Calibration:
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:
         """Return the relative standard uncertainty of a channel's gain for a vibration about mid-range.
 
-        `amplitude` is that of the vibration [unit of the channel]. `gain_uncertainty` holds for a small vibration and
-        includes the slope 1.5 c L/R of the sensor's curve at mid-range. For a vibration of amplitude a·R, that slope is
-        replaced by (1.5 − 1.875 a²) c L/R (module docstring).
+        `amplitude` is that of the vibration [unit of the channel]. The field `gain_uncertainty` is that for a small
+        vibration: it contains 1.5 u(c_3) L/R, the effect of the sensor's curve on the slope at mid-range. For a
+        vibration of amplitude a·R, this is replaced by (1.5 − 1.875 a²) u(c_3) L/R. R is half the range, L the
+        `linearity`, and c_3 the unknown share of the cubic in the curve (module docstring).
         """
         half_range = float(self.high[channel] - self.low[channel]) / 2.0
         curve = float(self.linearity[channel]) / half_range * U_CUBIC

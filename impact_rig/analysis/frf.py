@@ -237,10 +237,10 @@ def resolution_bias(window: str, segment: int, decay_per_sample: float) -> float
 
     `segment` is the length of a segment in samples, `decay_per_sample` the decay rate σ of the resonance per sample.
 
-    The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. It
-    is the first term in 1/(σ · segment) of the bias if x has an antiresonance at the peak of y, as under current drive,
-    and the window fills it. It exceeds the bias that arises because the window flattens a resonance of y. It is
-    infinite if the decay time is longer than a segment.
+    The bound is 2 (1/r − 1), with r the normalised autocorrelation of the window at the resonance's decay time 1/σ. If
+    x has an antiresonance at the peak of y, as under current drive, the window fills it. The bound is the bias due to
+    this, to first order in 1/(σ · segment). The bias because the window flattens a resonance of y is smaller. The bound
+    is infinite if the decay time is longer than a segment.
     """
     shape = scipy.signal.get_window(window, SHAPE)
     lag = round(min(SHAPE / (decay_per_sample * segment), SHAPE))

@@ -175,6 +175,8 @@ def _rough(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> lis
 class Amplitudes:
     """Amplitudes of the channels in a measurement, with standard uncertainties due to scatter, noise and steps.
 
+    All are displacements [m], that of the accelerometer is acceleration / ω²; the current is in amperes.
+
     Attributes:
         calibrated: largest relative difference between the amplitude of acceleration / ω² and X_1 that the
             calibrations of the two sensors explain.
@@ -226,7 +228,11 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
     """Return a rejection if laser and base seem exchanged, or one of them seems to have the wrong polarity; else None.
 
     `u_relative` is the relative standard uncertainty of DT: above `CERTAIN`, the result is always None. `phase_rad` is
-    the phase of X_1 / X_b, which is ± π far above resonance, and `u_phase_rad` its standard uncertainty.
+    the phase of X_1 / X_b, and `u_phase_rad` its standard uncertainty.
+
+    The two seem exchanged if the acceleration fits the base and not the laser. A passive structure lags its base, by up
+    to π far above resonance. If the phase shows that it leads, one polarity is wrong if the acceleration fits the
+    laser; otherwise the two are exchanged.
     """
     if u_relative > CERTAIN:
         return None
@@ -248,7 +254,8 @@ def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Reject
 
     A dead accelerometer (`accelerometer_unsound`) does not affect DT. If it shows another motion than the laser, either
     of the two may be wrong. If the laser still has the amplitude that it had in `before`, an earlier row of the same
-    setting, the accelerometer is rejected (`accelerometer_unsound`); otherwise the laser is (`implausible`).
+    setting, the accelerometer is rejected (`accelerometer_unsound`). Otherwise, and without `before`, the laser is
+    (`implausible`).
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):

@@ -207,7 +207,7 @@ class Recent:
         self.count = 0
 
     def next_ns(self) -> int:
-        """Return the stamp that the scan after the newest kept one has in a stream without a gap [ns]."""
+        """Return the stamp of the next scan if none is lost [ns]; at least one scan must be kept."""
         return self.stamp_ns(self.count)
 
     def stamp_ns(self, number: int) -> int:

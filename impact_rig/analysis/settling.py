@@ -77,7 +77,7 @@ def transient_bias(windows: Complex, measured: int) -> complex:
         ValueError: not 8 <= measured <= n.
     """
     if not 8 <= measured <= len(windows):
-        raise ValueError(f"measured must be 8 to {len(windows)}, the number of windows, got {measured}")
+        raise ValueError(f"measured must be 8 to {len(windows)} windows, all that are given, got {measured}")
     mean = complex(windows[-measured:].mean())
     spans = [span for span in (8, 16) if span <= len(windows)]
     return max((mean - _limit(windows[-span:].reshape(4, -1).mean(axis=1)) for span in spans), key=abs)
@@ -158,13 +158,16 @@ class ImpactPause:
 
     @property
     def is_waiting(self) -> bool:
-        """Return whether a row without impacts is still delayed, because the sphere may strike before the bound."""
+        """Return whether a row without impacts is still delayed: there were no impacts for less than `bound_s`."""
         return self.since_s < self.bound_s
 
 
 @attrs.frozen
 class Progress:
-    """Progress towards the first row after a change of drive, gap label or calibration, as numbers of windows."""
+    """Progress towards the first row after a change of drive, gap label or calibration, as numbers of windows.
+
+    After the first row, it is complete, or it is the progress towards a row that is overdue.
+    """
 
     windows: int  # number since the last change; at most `needed`
     needed: int  # estimated number required: it grows while no row can be given
@@ -291,7 +294,10 @@ class Judge:
 
     @property
     def progress(self) -> Progress:
-        """Progress towards the first row of this drive setting, or towards a row that is overdue, in windows."""
+        """Progress towards the first row of this drive setting, or towards a row that is overdue, in windows.
+
+        At all other times, the number of windows is equal to the needed one.
+        """
         needed = max(self._settings.windows, self._due or 0)
         if self.late:
             return Progress(self._since_row, self._since_row + 1, self._remnant)

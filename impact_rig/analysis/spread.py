@@ -198,9 +198,10 @@ def shortest_period(deviation: Reals, strikes: Bytes, limit: float, longest: int
 def _strikes_repeat(strikes: Bytes, period: int) -> bool:
     """Return whether the impacts repeat every `period` cycles.
 
-    A phase is regular in a class of cycles k mod `period` if most cycles of the class have an impact there, to within
-    one bin. The impacts repeat if nearly all of them are at regular phases. A cycle without an impact at a regular
-    phase proves nothing, because weak impacts may be missed.
+    `strikes` has shape (n, bins): 1 where a cycle has an impact in that bin of the drive phase, else 0. A bin is
+    regular in a class of cycles k mod `period` if most cycles of the class have an impact in it or in a neighbouring
+    bin. The impacts repeat if nearly all of them are in regular bins. A cycle without an impact in a regular bin proves
+    nothing, because weak impacts may be missed.
     """
     n, bins = strikes.shape
     regular, impacts = 0, 0

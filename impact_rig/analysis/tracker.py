@@ -191,7 +191,8 @@ class Tracker:
         calibration = Calibration.from_info(info.rows)
         if not abs(info.rows["since_start"][0]) <= LONGEST_S:
             raise ConfigError(
-                f"daq/info: since_start must be within ±{LONGEST_S:g} s, got {info.rows['since_start'][0]!r}"
+                f"daq/info: since_start, the time from scan 0 to the stamp, must be within ±{LONGEST_S:g} s, got "
+                f"{float(info.rows['since_start'][0]):g}; correct the program that publishes it"
             )
         start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         rows = info.rows.copy()
@@ -310,7 +311,7 @@ class Tracker:
         """Progress towards the first row after the last change; None without a drive frequency that can be measured.
 
         The measurement has `windows` of the `needed` windows. `reason` says how long a sphere may delay the row, and is
-        empty if none does.
+        empty if none does. After the first row, it is complete, or it is the progress towards a row that is overdue.
         """
         if self._accumulator is None:
             return None
@@ -600,7 +601,10 @@ class Tracker:
         self._take_impacts(until)
 
     def _take_impacts(self, before: int) -> NDArray[np.void]:
-        """Remove and return the impacts before scan `before`, of those found ahead of the delayed measurement."""
+        """Remove and return the impacts before scan `before` from those that wait for the measurement.
+
+        They wait because the measurement is delayed, but impacts are detected at once.
+        """
         onsets = joined([NO_IMPACTS, *self._impacts_ahead])
         impacts = self._detector.timed(onsets)
         later = int(np.searchsorted(impacts["scan"], before))

@@ -255,9 +255,11 @@ def _derotated(cycles: Cycles, calibration: Calibration, noise: Real) -> tuple[C
     amplitudes. The reference is the current if it has a clear signal, else the base. If neither has one, nothing is
     removed.
 
+    `noise` is the variance of a sample of each channel [unit²], shape (4,).
+
     Returns:
-        The phasors, and the measured minus the commanded drive frequency [Hz] (the fourth parameter of IEEE Std 1057);
-        it is NaN if nothing was removed.
+        The phasors, shape (n, 4, H) as in `cycles`, and the measured minus the commanded drive frequency [Hz] (the
+        fourth parameter of IEEE Std 1057); it is NaN if nothing was removed.
     """
     time = (cycles.first + (cycles.samples - 1) / 2.0) / calibration.rate_hz
     time -= time.mean()
