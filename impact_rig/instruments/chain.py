@@ -176,7 +176,8 @@ class Chain:
             motion: motion that covers these ticks, which continue those of the call before.
             motion_tick: number of the first of these ticks as `motion` counts its ticks.
             count: number of ticks.
-            tick_s: duration of one tick in the motion's time [s]: 10 ms, scaled by the error of the scan clock.
+            tick_s: duration of one tick in the motion's time [s]: 10 ms, which the caller scales by the error of the
+                scan clock, `clock_ppm` included.
         """
         clock = self._clock.lengths
         breakpoints = None if self._config.instruments.ideal else motion.breakpoints()
@@ -196,10 +197,10 @@ class Chain:
     def read(self, count: int) -> NDArray[np.void]:
         """Return and remove the next `count` scans, as rows of the type that `section.row_type_of` returns.
 
-        The column `time` is the time since the first of these scans [s].
+        The column `time` is the time since the first scan returned by this call [s].
 
         Raises:
-            ValueError: fewer scans are ready.
+            ValueError: `count` is negative, or fewer scans are ready.
         """
         if not 0 <= count <= self._ready:
             raise ValueError(f"count must be 0 to {self._ready}, the number of scans that are ready, got {count}")
@@ -246,7 +247,7 @@ class Chain:
             channel: name of the channel.
             frequency_hz: frequency of the sine; its phase is zero at the start.
             amplitude: peak value in the channel's unit.
-            ticks: duration in ticks of 10 ms.
+            ticks: duration in ticks of 10 ms; 0 only ends an earlier sine.
 
         Raises:
             CommandError: there is no such channel, or a number is out of range.
@@ -269,7 +270,8 @@ class Chain:
         """Add a fault, which acts from its `start_sample` on, and return the number by which `clear` ends it.
 
         Raises:
-            CommandError: a channel has already converted that scan, or the fault's channel is not present.
+            CommandError: the scan is before `first_open_scan`, so a channel has already converted it; or the fault's
+                channel is not present.
         """
         if fault.start_sample < self.first_open_scan:
             raise CommandError(
@@ -298,7 +300,7 @@ class Chain:
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
         """Return the starts and ends of faults in `count` scans from `first_scan` on, as `blocks.FAULTS` rows.
 
-        Call it once per block, in order: faults that have ended before these scans are then forgotten.
+        Call it once per block, in ascending order: it forgets the faults that ended before `first_scan`.
         """
         return self._faults.rows(first_scan, count)
 
@@ -318,7 +320,7 @@ class Chain:
         """Set the records of all channels and modes to the present sensors, calibration errors and converter.
 
         A mode is a pole of a sensor's dynamics. If `keep`, the modes of a sensor with unchanged dynamics keep their
-        state.
+        state. All other modes start again as at a reset.
         """
         config, channels, modes = self._config, self._channels, []
         dynamics = [sensor.transfer.modes() for sensor in self._sensors]
@@ -374,7 +376,8 @@ class Chain:
     ) -> None:
         """Convert ticks for ideal instruments, whose readings are the motion itself.
 
-        They have no skew, so all channels share their instants of conversion.
+        They have no skew, so all channels share their instants of conversion. Calibration sines and faults act on the
+        readings as well.
         """
         tick, offset = np.empty(ticks * self._most_per_tick, np.int64), np.empty(ticks * self._most_per_tick)
         count = instants(self._channels, clock, ticks, tick_s, tick, offset)

@@ -72,6 +72,8 @@ CLOCK = Fields(Clock, (int, int))
 class ScanClock:
     """Times at which a multiplexed converter converts its channels, one after another in each scan.
 
+    Times are integers in clock units, see `Clock`.
+
     Attributes:
         rate_hz: scans per second.
         lengths: lengths of a scan period and of a tick, in clock units.
@@ -83,7 +85,7 @@ class ScanClock:
     skews: tuple[int, ...]
 
     def skew_s(self, channel: int) -> float:
-        """Return the time [s] from the start of a scan to the conversion of the channel with this number, from 0."""
+        """Return the time [s] from the start of a scan to the conversion of its channel number `channel`, from 0."""
         return self.skews[channel] / self.lengths.tick * COMMAND_GRID_NS / NS_PER_S
 
     def scans_per_tick(self) -> int:
@@ -122,7 +124,8 @@ class Buffers(NamedTuple):
         clipped: whether the sensor or the converter was at an end of its range, for each value, same shape.
         white: scratch for random numbers, shape (STRETCH,).
         series: scratch of `response`, shape (3, SERIES_TERMS).
-        first_and_spacing: scratch, shape (2,): see `response.through_piece`.
+        first_and_spacing: scratch, shape (2,): time from the start of a piece to its first conversion, and between
+            conversions [s].
     """
 
     values: NDArray[np.float64]
@@ -245,10 +248,11 @@ def digitise(channels: Records, buffers: Buffers) -> None:
 
 @entry(CHANNEL, CLOCK, int, float, INTEGERS, REALS, returns=int)
 def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of: Integers, offset: Reals) -> int:
-    """Fill in the instants of the next conversions of channels without skew: the tick, and the offset into it [s].
+    """Fill in the instants at which channels without skew convert in the next `ticks` ticks.
 
-    Returns the number of instants; each channel counts them as converted. A channel whose skew has just been removed
-    may be one scan behind the others: it converts at all of the instants, the others at all but the first.
+    An instant is a tick, counted from 0 in this call, and the offset into it [s]. Returns the number of instants, and
+    adds the conversions to the counters of the channels. A channel that had a skew until now may be one scan behind the
+    others. In that case it converts at all of the instants, the others at all but the first.
     """
     earliest = channels[0].due
     for j in range(channels.shape[0]):
@@ -279,7 +283,7 @@ class Sine:
         ticks: number of ticks.
         frequency_hz: frequency.
         amplitude: peak value, in the channel's unit.
-        anchor_s: time for which it had been on at `anchor_tick` [s].
+        anchor_s: time from the start of the sine to the start of `anchor_tick` [s].
         anchor_tick: tick at which the duration of a tick last changed; by default the first tick.
         tick_s: duration of a tick from there on [s].
     """
@@ -314,10 +318,15 @@ class Sine:
         return out
 
     def replace(self, coefficients: NDArray[np.float64], tick: NDArray[np.int64], pieces: Pieces) -> NDArray[np.bool_]:
-        """Replace the polynomials of a channel's input by this sine on all pieces in its ticks; return a mask of these.
+        """Replace the polynomials of a channel's input by this sine on all pieces in its ticks.
 
-        `coefficients` has the shape (pieces, NODES). `tick` is the number of the tick of each piece, counted since the
-        reset.
+        Args:
+            coefficients: coefficients of x^0, x^1, … on each piece, x = −1 … 1, overwritten; shape (pieces, NODES).
+            tick: number of the tick of each piece, counted since the reset.
+            pieces: the pieces.
+
+        Returns:
+            For each piece, whether it was replaced.
         """
         on = self.covers(tick)
         coefficients[on] = polynomials(self.values, tick[on], pieces.start[on], pieces.end[on])[0]
@@ -338,5 +347,5 @@ def _sine(
 
 
 def still_on(sines: Iterable[tuple[int, Sine]], tick: int, tick_s: float) -> dict[int, Sine]:
-    """Return by channel the sines that have not ended at `tick`, for ticks of `tick_s` seconds from there on."""
+    """Return the sines that have not ended at `tick`, by channel; from there on, a tick takes `tick_s` seconds."""
     return {channel: sine.paced(tick, tick_s) for channel, sine in sines if tick < sine.first_tick + sine.ticks}

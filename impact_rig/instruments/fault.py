@@ -249,7 +249,7 @@ class FaultBoard:
             self.add(fault)
 
     def add(self, fault: Fault) -> int:
-        """Add a fault and return the number by which `clear` ends it."""
+        """Add a fault, unchecked (see `Chain.inject`), and return the number by which `clear` ends it."""
         self._last_number += 1
         end = fault.start_sample + fault.samples if fault.samples else math.inf
         random = Random(np.random.SeedSequence(fault.seed, spawn_key=(_STREAM,)))
@@ -341,7 +341,7 @@ class FaultBoard:
     def rows(self, first: int, count: int) -> NDArray[np.void]:
         """Return starts and ends of faults in the scans first … first + count − 1, in order, as `blocks.FAULTS` rows.
 
-        Faults that ended before these scans are removed, so call this once per block, in order.
+        Call it once per block, in ascending order: it forgets the faults that ended before the scan `first`.
         """
         if not self._faults:
             return _NO_ROWS

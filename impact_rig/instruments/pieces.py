@@ -34,10 +34,11 @@ PIECES_PER_PERIOD = 2.0
 
 
 class PiecewiseMotion(Protocol):
-    """Interface of a motion that instruments can read, which `impact_rig.physics.Motion` has.
+    """Interface that instruments need of a motion; `impact_rig.physics.Motion` implements it.
 
-    Another class can have it as well, such as a motion given by formulas. Quantities of the rig are functions of an
-    instant, given as the number of a tick and the time since its start [s]. A tick takes 10 ms of the scan clock.
+    Another class can do so as well, such as a motion given by formulas. Quantities of the rig are functions of an
+    instant, given as the number of a tick and the time since its start [s]. A tick takes 10 ms of the scan clock, which
+    is more or less in the motion's time if that clock is wrong. The time since its start is in the motion's time.
     """
 
     @property
@@ -54,12 +55,16 @@ class PiecewiseMotion(Protocol):
     ) -> NDArray[np.float64]:
         """Return the named quantities as polynomials on pieces between breakpoints, shape (names, n, NODES).
 
-        Each piece lies in one tick, from `start_s` to `end_s` after its start. `arithmetic.interpolation.polynomials`
-        computes the polynomials from `quantities`.
+        Each piece lies in one tick, from `start_s` to `end_s` after its start. The last axis holds the coefficients of
+        x^0, x^1, …, with x = −1 at the start of the piece and 1 at its end. `arithmetic.interpolation.polynomials`
+        computes them from `quantities`.
         """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the instants (tick, offset [s]), in order, between which every quantity is smooth."""
+        """Return the instants (tick, offset [s]), in order, between which every quantity is smooth.
+
+        Starts and ends of ticks need not be included, because every tick is cut there anyway.
+        """
 
 
 class Limits(NamedTuple):
@@ -83,7 +88,7 @@ class Pieces(NamedTuple):
     """Smooth pieces of some ticks, in order; their times [s] count from the start of the piece's tick.
 
     Attributes:
-        first_piece: index of the first piece of each tick, and the number of pieces; shape (ticks + 1,).
+        first_piece: index of the first piece of each tick, then the number of all pieces; shape (ticks + 1,).
         start: start of each piece, shape (n,).
         end: end of each piece, shape (n,).
         tick: number of the piece's tick in the motion, shape (n,).
@@ -124,10 +129,10 @@ def cut(
 
 @entry(INTEGERS, REALS, int, LIMITS, PIECES, returns=int)
 def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces: Pieces) -> int:
-    """Fill `pieces`, whose arrays must have room for them, with the pieces of its ticks, and return their number.
+    """Cut as many ticks as `pieces.first_piece` has room for; write the pieces into `pieces` and return their number.
 
-    Pieces are the intervals between the breakpoints (tick, offset), divided and joined as `limits` says. `motion_tick`
-    is the number, counted in the motion, of the first tick of `pieces`.
+    The caller provides arrays that are long enough. Pieces are the intervals between the breakpoints (tick, offset),
+    divided and joined as `limits` says. `motion_tick` is the number, counted in the motion, of the first tick.
     """
     tick_s, longest_s = limits.tick_s, limits.longest_s
     first, start, end, piece_tick = pieces.first_piece, pieces.start, pieces.end, pieces.tick
@@ -158,10 +163,11 @@ def _cut(tick: Integers, offset: Reals, motion_tick: int, limits: Limits, pieces
 
 @kernel
 def _next_break(offset: Reals, next_break: int, breaks_end: int, from_s: float, limits: Limits) -> tuple[int, float]:
-    """Return the index of the first breakpoint not yet reached by the next piece, and that piece's end [s].
+    """Return the index of the first breakpoint after the next piece, and that piece's end in its tick [s].
 
-    The piece starts `from_s` seconds after the start of its tick. It joins short intervals between breakpoints up to
-    the length `limits.joined_s`. The caller divides a piece that is longer than `limits.longest_s`.
+    The piece starts `from_s` seconds after the start of its tick. Without a breakpoint it ends with the tick. It joins
+    short intervals between breakpoints up to the length `limits.joined_s`. The caller divides a piece that is longer
+    than `limits.longest_s`.
     """
     tick_s, joined_s = limits.tick_s, limits.joined_s
     while next_break < breaks_end and offset[next_break] <= from_s:

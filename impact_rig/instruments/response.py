@@ -77,9 +77,9 @@ def decayed(re: float, im: float, seconds: float) -> tuple[float, float]:
 
 @kernel
 def set_period(modes: Records, period_s: float) -> None:
-    """Set in each mode the factor by which its free response decays in a scan period, and how many scans it matters.
+    """Set in each mode the factor by which its free response decays in a scan period, and when it becomes negligible.
 
-    After that number of scans, the free response is less than exp(−45) of its start.
+    After the number `rings_for` of scans, the free response is less than exp(−45) of its start.
     """
     for k in range(modes.shape[0]):
         mode = modes[k]
@@ -98,7 +98,7 @@ def settle(modes: Records, level: float) -> None:
 
 @kernel
 def input_at_start(coefficients: Reals) -> float:
-    """Return the sensor's input S at the start of a piece, x = −1, from its coefficients."""
+    """Return the value of the sensor's input Σ coefficients[k] x^k at the start of a piece, x = −1."""
     value = 0.0
     for k in range(NODES - 1, -1, -1):
         value = coefficients[k] - value

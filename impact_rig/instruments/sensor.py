@@ -128,7 +128,10 @@ class Transfer:
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
     def modes(self) -> SensorModes:
-        """Return the partial fractions of the transfer function, whose terms are its modes."""
+        """Return the partial fractions of the transfer function, whose terms are its modes.
+
+        Poles that are equal or nearly so are moved apart. There must be more poles than zeros.
+        """
         return _modes(self)
 
 
@@ -210,8 +213,8 @@ class Sensor:
         unit: unit of that quantity.
         low_pass: all dynamics that limit its band from above, with unit gain at zero frequency.
         high_pass_hz: corner of the first-order high-pass that limits its band from below, 0 for none.
-        lag_order: model of `low_pass` at the frequencies of the rig's motion, which an analysis corrects: 1 first-order
-            lag, 2 two-pole Butterworth, 0 pure delay.
+        lag_order: simple model by which an analysis corrects the effect of `low_pass` at the frequencies of the rig's
+            motion: 1 first-order lag, 2 two-pole Butterworth, 0 pure delay.
         bandwidth_hz: −3 dB corner of the sensor, and of its noise.
         volt_per_unit: nominal sensitivity, signed [V/unit].
         offset_v: nominal output at zero [V].

@@ -76,7 +76,7 @@ WITHOUT = f"set {VARIABLE}=jit (compiled by Numba at the first start after each 
 
 
 def this_machine() -> str:
-    """Return the machine that Python builds for, such as `x86_64`.
+    """Return the machine for which this Python builds binaries, such as `x86_64`.
 
     It is this machine, unless the environment variable _PYTHON_HOST_PLATFORM names another (`linux-aarch64`).
     """
@@ -84,7 +84,7 @@ def this_machine() -> str:
 
 
 def cpu(machine: str) -> str:
-    """Return LLVM's name of the oldest CPU of a kind of machine, for which kernels are compiled.
+    """Return LLVM's name of the CPU for which kernels are compiled: the oldest supported one of this kind of machine.
 
     `machine` is a name such as `platform.machine` returns.
 
@@ -98,7 +98,7 @@ def cpu(machine: str) -> str:
 
 
 def sources() -> list[Path]:
-    """Return the files that determine the library: modules with kernels, the modules these import, and build files."""
+    """Return the files that determine the library: modules with kernels, their direct imports, and build files."""
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     declares = re.compile(r"^from impact_rig\.(kernels|physics\.contact\.law) import", re.MULTILINE)
     holders = {path for path, text in texts.items() if declares.search(text)}
@@ -180,7 +180,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
 
 
 def translated(folder: Path) -> Path:
-    """Write the translated kernels of the present sources into a folder, unless it contains them, and return it.
+    """Write the translated kernels of the present sources into `folder`, unless it contains them, and return `folder`.
 
     Raises:
         SystemExit: the pinned version of Numba is not installed, or the translation fails.
@@ -234,7 +234,7 @@ def _prototype(name: str) -> str:
 
 
 def write_header(found: Path, path: Path) -> None:
-    """Write the C header of the translated kernels in the folder `found` to `path`."""
+    """Write the C header for the kernels to the file `path`; `found` is the folder with the translated kernels."""
     path.write_text(whole((found / f"{part}.h").read_text(encoding="utf-8") for part in PARTS), "utf-8")
 
 
