@@ -419,9 +419,9 @@ class Source(abc.ABC):
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
         """Update the snapshot with the results of functions, and request the prediction for the present settings.
 
-        The prediction is requested only while a page is open.
+        The prediction is requested only while a page is open and `values` is not empty.
 
-        If a function fails, the failure is counted, and the other parts are updated all the same.
+        If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.

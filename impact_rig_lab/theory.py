@@ -248,7 +248,8 @@ class Theory:
     def _compute(self, wish: tuple[dict[str, Any], float]) -> None:
         """Compute the prediction for a request when no other one is running, and pass it on, or its error as a text.
 
-        A request is dropped if there is a newer one, before or after the computation.
+        The request `wish` consists of the values of the rig's parameters by name, and the peak amplitude of its drive.
+        It is dropped if there is a newer one, before or after the computation.
         """
         lower_priority()
         with self._computing:

@@ -216,7 +216,10 @@ def compare(
 
 
 def _same(row: np.void, rows: NDArray[np.void]) -> np.void | None:
-    """Return the row of `rows` with the gap (or also an unknown one) and frequency of `row`; None if there is none."""
+    """Return the first row of `rows` with exactly the gap and frequency of `row`; None if there is none.
+
+    Two unknown gaps count as equal.
+    """
     same = (rows["frequency"] == row["frequency"]) & (
         (rows["gap"] == row["gap"]) | (np.isnan(rows["gap"]) & np.isnan(row["gap"]))
     )
@@ -433,7 +436,10 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
 
 
 def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
-    """Return the gap [m] of each measurement: its label, or if that is unknown the model's gap (0: no sphere)."""
+    """Return the gap [m] of each measurement: its label, or if that is unknown the gap of the model `known`.
+
+    A gap of 0 means that there is no sphere.
+    """
     return np.asarray(np.nan_to_num(rows["gap"], nan=known.barriers.gap_m if known.sphere.present else NO_SPHERE))
 
 

@@ -79,7 +79,7 @@ def campaign_points(directory: Path) -> Tables | None:
 
 
 def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
-    """Return the settled points as columns for a universal file: X_1/X_b over the frequency.
+    """Return the settled points as columns for a universal file: magnitude and phase [rad] of X_1/X_b over frequency.
 
     The column `curve` names the curve to which a point belongs: one curve per study, gap, direction, current and values
     of the other axes.

@@ -191,7 +191,10 @@ def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = i
 
 
 def _trace(rig: RigDriver) -> Trace:
-    """Advance the rig, and return scans and true motion (`truth/scan`) of its last `TRACE_BLOCKS` blocks as columns."""
+    """Advance the rig, and return scans and true motion of the last `TRACE_BLOCKS` blocks as columns, for figures.
+
+    The rig advances by one block more, from which on it publishes its true motion (`truth/scan`).
+    """
     rig.configure({"output.truth_scan": True})  # changes what is published, but no sample
     rig.step()  # only half of its truth was kept
     rig.clear()

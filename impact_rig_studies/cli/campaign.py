@@ -64,8 +64,8 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     old = sum(job.key in done.outcomes and store.get(job) is None for job in run.unique_jobs(campaign.planned()))
     if old:
         console.print(
-            f"{old} runs of other studies were measured with other code or lack a trace; without --only, they are "
-            "measured again",
+            f"{old} runs of other studies were measured with other code, or lack the time trace that the report draws; "
+            "without --only, they are measured again",
             style="yellow",
         )
     summary = run.write_results(done, time.monotonic() - started)

@@ -41,7 +41,7 @@ Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig, a
 
 
 def run_play(arguments: argparse.Namespace) -> int:
-    """Drive the rig with a signal of a file or run; return the exit code, 1 if it ended early or has no result."""
+    """Drive the rig with a signal of a file or run, and return the exit code; `_drive` explains it."""
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -145,7 +145,7 @@ def _progress() -> Console:
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
     """Run a test on a rig, record it, write and print its results even if it ends early, and return the exit code.
 
-    The code is 1 if the test ended early or has no result, else 0.
+    The code is 1 if the test ended early, or if a key figure cannot be computed (`ResultSummary.missing`); else 0.
 
     Args:
         arguments: parsed arguments of the test.
@@ -156,7 +156,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
 
     Raises:
         ConfigError: the configuration does not drive the shaker with a current.
-        ImpactRigError: the test ended before its first result.
+        ImpactRigError: the test ended before `work` yielded anything.
     """
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 

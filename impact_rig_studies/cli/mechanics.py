@@ -91,7 +91,8 @@ def run_map(arguments: argparse.Namespace) -> int:
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
     """Add the largest Lyapunov exponents, with their standard uncertainties, to the values of a finished map.
 
-    Only motions that are not periodic have an exponent; other points are NaN.
+    Only motions that are not periodic have an exponent. Other points are NaN, as are points whose exponent is neither
+    stored nor computed now.
 
     Args:
         done: the map, whose values are extended.
@@ -236,7 +237,10 @@ def _show(console: Console, done: plans.FinishedStudy) -> None:
             f"(95 % interval {100.0 * low:.2f} to {100.0 * high:.2f} %)"
         )
     if "failed_rows" in summary:
-        console.print(f"{summary['failed_rows']} of {len(rows)} rows have no result: the motion cannot be simulated")
+        console.print(
+            f"{summary['failed_rows']} of {len(rows)} rows have no result (regime {FAILED}): the motion cannot be "
+            "simulated there"
+        )
     if plan.kind not in SHOWN:
         return
     special = [row for row in _special(done) if not str(row.get("event", "")).startswith(plans.NO_ORBIT)]

@@ -161,7 +161,7 @@ def add_import(commands: Commands) -> None:
         "--scan-rate",
         type=float,
         metavar="HZ",
-        help="scans per second, instead of the rate or times in the file (default: those)",
+        help="scans per second; the file's rate and times are then ignored (default: the file's rate or times)",
     )
     parser.add_argument(
         "--resample",
@@ -500,7 +500,7 @@ def _add_backbone(tests: Commands) -> None:
         nargs="+",
         required=True,
         metavar="A",
-        help="peak coil currents above 0, in ascending order (required)",
+        help="peak coil currents in A, above 0 and in ascending order, e.g. 0.1 0.2 0.4 (required)",
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")
@@ -549,15 +549,15 @@ def add_campaign(commands: Commands) -> None:
         "--only", nargs="+", default=(), metavar="STUDY", help="studies of FILE to measure (default: all)"
     )
     parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: the file's)"
+        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: that in FILE)"
     )
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: the file's)")
+    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: those in FILE)")
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
         "--check",
         action="store_true",
-        help="exit with 1 if a point or one of the paper's statements failed, or the reductions differ from the "
-        "paper's by more than the printed limits",
+        help="exit with 1 if a point could not be measured, one of the paper's statements does not hold, or the "
+        "reductions differ from the paper's by more than the printed limits",
     )
 
 
@@ -743,8 +743,8 @@ def _add_drop(instead: argparse._MutuallyExclusiveGroup) -> None:
         "--drop",
         type=HEIGHT_UNCERTAINTY,
         metavar="LENGTH",
-        help="coefficient of restitution from drop tests noted as remarks like `drop h0_m=0.2 h1_m=0.0245`; LENGTH is "
-        "the standard uncertainty of each height, e.g. 0.5mm",
+        help="coefficient of restitution from drop tests noted as remarks like `drop h0_m=0.2 h1_m=0.0245` (heights of "
+        "drop and rebound); LENGTH is the standard uncertainty of each height, e.g. 0.5mm",
     )
 
 

@@ -76,7 +76,8 @@ def runner(
 ) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
     """Return a function that applies `work` to tasks and yields each with its result.
 
-    It uses the Dask cluster at `address`, or `workers` processes on this machine if the address is empty.
+    Results are yielded in the order of completion. The function uses the Dask cluster at `address`. If the address is
+    empty, it uses `workers` processes on this machine, or one per usable core if `workers` is None.
     """
     return on_cluster(work, address) if address else lambda tasks: in_parallel(work, tasks, workers)
 

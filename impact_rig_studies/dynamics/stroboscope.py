@@ -431,8 +431,8 @@ def at(place: Place, over: str, value: float) -> Place:
         value: value of the parameter in its own unit.
 
     Raises:
-        ConfigError: the configuration has no such number, or its value is out of range. Frequency and current are not
-            checked.
+        ConfigError: the configuration has no parameter `over` that is a number, or `value` is out of its range. A
+            frequency or current is not checked.
     """
     config, frequency, amplitude = place
     if over == FREQUENCY:

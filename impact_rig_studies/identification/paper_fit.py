@@ -64,7 +64,7 @@ def fit_paper(
 ) -> PaperFit:
     """Fit values of the simulated rig to the paper's reductions and resonance, starting at `START`.
 
-    The result also contains how well the figures of the paper determine each constant, with the current.
+    The result also states how well the figures of the paper determine each constant in `ALL`, among them the current.
 
     Args:
         base: rig with all other values, which count as known; normally the shipped configuration.

@@ -138,7 +138,8 @@ def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tup
 def _proves(text: str, decimal: str) -> bool:
     """Return whether a cell proves a decimal sign: it is a number with this sign, and not with the other one.
 
-    It is not meant for a cell that is a number with either sign (`is_unclear`).
+    The caller excludes cells that are numbers with either sign, such as `1,234` (`is_unclear`), for which the result is
+    wrong.
     """
     match = _GROUPED[decimal].fullmatch(text)
     if match:

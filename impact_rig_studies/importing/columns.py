@@ -179,12 +179,13 @@ def _axis(
 ) -> _Axis:
     """Remove the columns of times, or of frequencies, from `numeric`, and return the abscissa that they define.
 
-    The abscissa is of the kind `NONE` if no column contains times or frequencies. Columns of times that are not used,
-    because others already give the times, are added to `omitted`, with the reason.
+    Columns are preferred in this order: `clocks`, `dates`, `stamps`, numbers that are times, numbers that are
+    frequencies. Without any of them, the abscissa is of the kind `NONE`. Columns of times that are not used, because
+    others already give the times, are added to `omitted`, with the reason.
 
     Args:
         numeric: columns of numbers by heading; the used ones are removed.
-        column_units: units by heading, if they are not part of it.
+        column_units: unit by heading, for headings that do not contain their unit.
         clocks: heading and content of each column of dates, times of day or durations.
         stamps: column `stamp_ns` [ns], or None.
         dates: heading and content [ns since 1970] of the column of binary dates, or None.

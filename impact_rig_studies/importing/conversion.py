@@ -244,7 +244,10 @@ def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[
 
 
 def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> bool:
-    """Return whether two abscissas of `count` values span equal times, within half a `period` [s]."""
+    """Return whether two abscissas of `count` values last equally long from first to last value.
+
+    A difference up to half a `period` [s] is allowed. Where they start does not matter.
+    """
     ends = [
         one.step * (count - 1) if one.step else float(one.values[-1]) if one.values is not None and count else 0.0
         for one in (first, other)
@@ -267,14 +270,17 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 
 @attrs.frozen(eq=False)
 class _Instants:
-    """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns]."""
+    """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns].
+
+    Stamps count from the same instant as `start_ns`.
+    """
 
     index: NDArray[np.int64]
     rate_hz: Rate
     start_ns: int
 
     def exact(self, scan: int) -> int:
-        """Return the stamp of the scan at a position [ns]."""
+        """Return the stamp [ns] of the scan at a position, rounded down to whole nanoseconds."""
         return stamp_ns(int(self.index[scan]), self.rate_hz, self.start_ns)
 
     def first_at(self, instant_ns: float) -> int:

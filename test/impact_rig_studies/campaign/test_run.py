@@ -336,6 +336,6 @@ def test_running_a_part_of_a_campaign_keeps_all_earlier_results(tmp_path, capsys
         assert "other code" not in printed
     monkeypatch.setattr("impact_rig_studies.campaign.store.code_fingerprint", lambda: "0.0.9-of-new")
     assert main([*command, "--only", "two"]) == 0
-    assert "2 runs of other studies were measured with other code or lack a trace" in " ".join(
+    assert "2 runs of other studies were measured with other code, or lack the time trace" in " ".join(
         capsys.readouterr().out.split()
     )
