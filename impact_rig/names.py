@@ -106,8 +106,8 @@ def file_name(text: str) -> str:
 
     Returns:
         One component of a path: 1 to 100 ASCII letters, digits and `._+=,-`, without a leading point. A name that
-        already has this form is returned unchanged. Any other gets a digest of `text` at its end, so that different
-        names stay different.
+        already has this form is returned unchanged. In any other, `_` replaces other characters, and a digest of `text`
+        is appended, so that different names stay different.
     """
     plain = re.sub(r"[^\w.+=,-]+", "_", text).lstrip(".-")
     if plain == text and 0 < len(text) <= LONGEST_FILE_NAME and text.isascii():
@@ -143,7 +143,7 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
 
 
 def csv_cell(value: object) -> object:
-    """Return the content of a CSV cell, with an apostrophe before a text that a spreadsheet would run as a formula.
+    """Return the content of a CSV cell; a text that a spreadsheet would run as a formula gets an apostrophe before it.
 
     This also applies to the parts of a text after a `;`, tab or line end, where a spreadsheet may begin another cell.
     Numbers, texts that are numbers, and single characters stay unchanged.

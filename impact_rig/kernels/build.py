@@ -275,7 +275,10 @@ def _check_loads(path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", load, str(path)], capture_output=True, text=True, check=False)  # noqa: S603  # ourselves
     if done.returncode:
         why = done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}"
-        raise SystemExit(f"the library of kernels was built, but Python cannot load it: {why}")
+        raise SystemExit(
+            f"the library of kernels was built, but Python cannot load it: {why}; name another C compiler in CC, or "
+            f"{WITHOUT}"
+        )
 
 
 def _check_numba() -> None:

@@ -166,6 +166,7 @@ def _pieces(name: str, kind: Any) -> Iterator[tuple[str, Any]]:
 def _append(name: str, kind: Any, parameters: list[str], slots: list[str], structs: dict[np.dtype[Any], str]) -> None:
     """Append the C parameter for one piece of a kernel's arguments, and the C expressions that fill its slots.
 
+    Slots are the 64-bit words in which a kernel takes its arguments, see library.c.
     A record type that the piece needs is added to `structs` (type -> name).
     """
     if isinstance(kind, Function):

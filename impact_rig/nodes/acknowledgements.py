@@ -189,10 +189,10 @@ class AckWindow:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
 
     def heard_ns(self, name: str) -> int:
-        """Return the time [ns of this window's clock] from which the silence of a reader is measured.
+        """Return the time from which the silence of a reader is measured [ns of the clock given to this window].
 
         It is the time at which the reader last acknowledged a further block. If it had then acknowledged every block,
-        it is the time at which the next block was published.
+        it is the time at which the next block was published, once there is one.
         """
         return self._readers[name].heard_ns
 
@@ -260,7 +260,7 @@ class Readers:
         self._polled_at = -GRAPH_POLL_S
 
     def missing(self) -> tuple[str, ...]:
-        """Return the names of the expected peers that `all_matched` has not found connected so far, sorted."""
+        """Return the expected peers that no `all_matched` has found connected since `expect`, sorted by name."""
         return tuple(sorted(self._missing))
 
     def overdue(self, patience_s: float) -> bool:

@@ -271,6 +271,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
         """Apply new, validated settings to the node; an exception rejects them, and all parameters keep their values.
 
+        Before it raises one, this method must undo what it has applied.
+
         Args:
             settings: all parameters with their new values.
             changes: the values that differ from the present ones, by parameter name.
@@ -369,7 +371,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self.outputs |= {topic.name: self.publisher(topic) for topic in chosen}
 
     def send(self, topic: topics.Topic, message: Any) -> None:
-        """Publish a message, or its CDR (serialised) bytes, on a topic whose publisher `offer` has created."""
+        """Publish a message, or its CDR (serialised) bytes, on a topic whose publisher `offer` has created.
+
+        It is published in an inactive node, too.
+        """
         self.outputs[topic.name].publish(message)
 
     def send_table(self, topic: topics.Topic, table: Table) -> None:
@@ -703,8 +708,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def present(self) -> NodeState:
         """Return the node's present state for diagnostics, in any lifecycle state.
 
-        While the node is not active, the state is `inactive`. Its reason is the lifecycle state, with an error of the
-        last five seconds or the one that prevented `configure`.
+        While the node is not active, the state is `inactive`. Its reason is the lifecycle state. An error of the last
+        five seconds, or the one that prevented `configure`, is appended to it.
         """
         if self.active:
             return self.doing()

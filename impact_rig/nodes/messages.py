@@ -62,7 +62,7 @@ TOPICS: tuple[Topic, ...] = tuple(found for topic in topics.COMMON for found in 
 
 
 def by_name(name: str) -> Topic:
-    """Return the topic of `TOPICS` with this name, relative (`daq/scan`) or absolute (`/clock`) as it is listed there.
+    """Return the topic of `TOPICS` with exactly this name, such as `daq/scan` or `/clock`.
 
     Raises:
         KeyError: no topic has this name.

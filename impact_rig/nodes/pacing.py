@@ -51,7 +51,7 @@ class Lateness:
 
 
 class Pacer:
-    """Conversion between a monotonic clock and the rig time that is due, at `factor` times real time.
+    """Conversion between a monotonic clock and the rig time up to which blocks are due, at `factor` times real time.
 
     Args:
         clock: monotonic clock [ns].
@@ -116,9 +116,9 @@ class WorkTimer:
     """Timer that calls back when blocks of scans become due: with a period and a phase, on the monotonic clock.
 
     A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
-    Therefore a one-shot timer, whose period sets the phase, starts the periodic one. The phase drifts if the periods of
-    timer and blocks differ by fractions of a nanosecond; after 100 late calls in a row the timer is started again in
-    phase.
+    Therefore a one-shot timer first waits until a block is due, and then starts the periodic timer. The phase drifts if
+    the periods of timer and blocks differ by fractions of a nanosecond. After 100 calls in a row that were late by more
+    than a tenth of a period, the timer is started again in phase.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:

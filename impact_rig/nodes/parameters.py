@@ -52,9 +52,9 @@ class Proposal(Generic[S]):
     """Change of parameters that the validator has accepted and that is not applied yet.
 
     Attributes:
-        stored: the parameters to change, with the values that ROS will store.
+        stored: the requested parameters, some perhaps with their present values, as ROS will store them.
         settings: all parameters of the node after the change, as one object.
-        changes: the values that differ from the present ones, by name.
+        changes: only the values that differ from the present ones, by name.
     """
 
     stored: list[Parameter]

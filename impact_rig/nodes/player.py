@@ -96,7 +96,7 @@ class Player:
         factor: seconds of rig time per second of wall time; None means as fast as the peers acknowledge.
         peers: names that nodes use in daq/ack; the player waits for these nodes, so that they lose no block.
         chosen: topics to replay, with or without namespace; empty means all.
-        paused: whether playback waits for a call of the service `~/pause` with `false`.
+        paused: whether playback starts paused, until the service `~/pause` is called with `false`.
 
     Raises:
         RecordingError: a chosen topic is not in the run, the run has no daq/scan, or it contains a topic name or time
@@ -128,7 +128,7 @@ class Player:
         if run.end_ns > LAST_NS:
             raise RecordingError(
                 f"{run.path}: a message has the log time {run.end_ns} ns, which cannot be replayed: the largest ROS "
-                f"time is {LAST_NS} ns"
+                f"time is {LAST_NS} ns (19 January 2038); correct the clock and record the run again"
             )
         self._run, self._node, self._spin = run, node, spin
         self._factor = factor
@@ -194,9 +194,9 @@ class Player:
             yield from self._wait(SPIN_S)
 
     def finish(self) -> None:
-        """Wait until the last messages and answers are delivered, so that the node can be destroyed.
+        """Wait until the last messages and answers of services are delivered, so that the node can be destroyed.
 
-        The wait takes at most 1 s per topic, and 0.3 s for the answers.
+        The wait ends without an error after at most 1 s per topic, and 0.3 s for the answers.
         """
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(DELIVERY)

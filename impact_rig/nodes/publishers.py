@@ -108,7 +108,7 @@ class Monitors:
         true joint states are not filtered.
 
         Args:
-            block: next block of the rig.
+            block: next block of the rig; pass every block in order, otherwise the low-pass filter starts again.
             wanted: returns whether a topic has subscribers; messages of other topics are not rendered.
         """
         start_ns = block.scan.stamp_ns - stamp_ns(block.first_scan, self._rate_hz)
@@ -129,7 +129,7 @@ def _reading(config: RigConfig, instrument: Instrument, bit: int, noise: float) 
     Args:
         config: configuration of the rig.
         instrument: the instrument.
-        bit: bit of its channel in the status of a scan, which is set if the reading was over range.
+        bit: mask of its channel in the status of a scan; set there if the reading was at an end of the range.
         noise: rms noise of the channel, in its unit.
     """
     fields = instrument.message(0.0, False, noise)
@@ -194,7 +194,9 @@ class Publishers:
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def poll(self, often: bool) -> None:
-        """Check which topics have subscribers; call this before `block`, which skips most topics without one.
+        """Check which topics have subscribers; call this before `block`.
+
+        Without a subscriber, `block` publishes only the scans and latched (transient-local) topics.
 
         Unless `often` is true, it has no effect within 0.1 s (`GRAPH_POLL_S`) of the last check.
         """
@@ -253,7 +255,7 @@ class Publishers:
         """Publish the new entries of `rig/journal`, and then the new rows of `shaker/applied` that they caused.
 
         Returns:
-            Whether there were any.
+            Whether there was an entry or a row.
         """
         entries, applied = rig.take_journal(), rig.take_applied()
         for entry in entries:
@@ -306,7 +308,7 @@ class Publishers:
         self._polled_at = -GRAPH_POLL_S
 
     def _settle(self, topic: topics.Topic) -> None:
-        """Wait, at most 0.2 s, until all subscribers have received the messages of a topic; not for a rig in real time.
+        """Wait until all subscribers have received the messages of a topic, or 0.2 s have passed.
 
         Messages of different topics can overtake each other. In real time, the difference is milliseconds, for which a
         measurement can wait, so this method returns at once. In the other time modes it can be many blocks of scans,

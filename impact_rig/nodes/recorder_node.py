@@ -103,10 +103,11 @@ class RecorderSettings:
 
 
 class RecorderNode(ManagedNode[RecorderSettings]):
-    """Lifecycle node that writes runs, and acknowledges every block that is safely written or need not be recorded.
+    """Lifecycle node that writes runs and acknowledges blocks of scans.
 
-    An acknowledgement covers all earlier blocks on all topics. A recorder that should record but cannot, or that has
-    lost a message of the rig, therefore sends none. A rig that waits for this recorder then stops, and names it in its
+    While it records, it acknowledges a block after writing it to the file; otherwise at once. An acknowledgement covers
+    all earlier blocks on all topics. A recorder that should record but cannot, or that has lost a message of the rig,
+    therefore sends none until ~/stop is called. A rig that waits for this recorder then stops, and names it in its
     diagnostics.
     """
 
@@ -528,6 +529,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
 def run_directory(text: str) -> Path:
     """Return the path for the parameter `directory` of the recorder, with `~` replaced by the home directory.
+
+    A relative path stays relative, to the working directory of the node. Nothing is created.
 
     Raises:
         RecordingError: the path begins with the home directory of an unknown user.
