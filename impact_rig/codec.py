@@ -218,6 +218,8 @@ class _Plan:
 def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Plan:
     """Return the conversions and checks for tables of `topic` whose rows have the numpy type `found`.
 
+    `needs` are names of columns that are required in addition to those of the topic. All further columns are kept.
+
     Raises:
         CodecError: a column of `needs`, or one of the topic without a default, is missing, or a column has a type that
             cannot be widened to that of the topic.
@@ -375,7 +377,8 @@ def header_stamp_ns(data: Buffer) -> int:
 def joint_state(data: Buffer) -> tuple[int, tuple[NDArray[np.float64], ...]]:
     """Return stamp [ns] and (positions, velocities, efforts) of a serialised `sensor_msgs/JointState`.
 
-    Each of the three is an array of shape (n,), which is empty if the message does not contain it.
+    Each of the three is a one-dimensional array, which is empty if the message does not contain it. Whether their
+    lengths are equal is not checked.
 
     Raises:
         CodecError: `data` is not a JointState in little-endian CDR.
@@ -424,7 +427,10 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
         if kind not in _PRIMITIVES:
             raise CodecError(f"{path} must hold numbers or a single string, got {count} x {kind}")
         if not 0 < count <= len(data):  # a definition may contain any count
-            raise CodecError(f"{path} must have 1 to {len(data)} values in a message of that many bytes, got {count}")
+            raise CodecError(
+                f"{path} must have 1 to {len(data)} values, because the message has {len(data)} bytes, got {count}; "
+                "correct the definition of the message type"
+            )
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
         cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])
         values = form.unpack_from(cursor.view, cursor.take(form.size, path))

@@ -307,7 +307,7 @@ class BandNoise:
         """Return the numbers first … first + count − 1, counted from 0.
 
         The first call must have `first` = 0. In each later call, `first` must be the index of a number that the call
-        before returned, or the index right after these.
+        before returned, or the index right after these. This is not checked: any other index gives wrong numbers.
         """
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])

@@ -47,7 +47,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     if len(found.rigs) > 1:
         console.print(f"rigs: {', '.join(found.rigs)}")
     if found.recovered is not None:
-        console.print(f"recovered from {found.recovered.source}")
+        console.print(f"recovered from the damaged run {found.recovered.source}")
     for key, value in {**found.provenance, **found.origin}.items():
         console.print(f"{key}: {value}")
     table = TextTable(left=("topic", "type"), right=("messages", "per s", "kB"))

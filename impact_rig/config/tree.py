@@ -116,7 +116,7 @@ class Tree(Generic[Root]):
         return self.to_flat(self.root())
 
     def fields(self) -> Iterator[tuple[str, FieldInfo, Value]]:
-        """Yield (dotted name, description, default) of every configuration value, in the order of the fields."""
+        """Yield (dotted name, `FieldInfo`, default) of every configuration value, in the order of the fields."""
         for name, about in self._known.items():
             yield name, about, self._defaults[name]
 

@@ -80,9 +80,10 @@ They are read-only, or define how this program drives the rig.
 class RosRig(RigDriver):
     """Rig reached over ROS topics, newly started on a ROS domain of its own or already running.
 
-    It has the calls of `LocalRig`, and a `client` that acts as the operator. Use it to test ROS 2 nodes: `host` runs a
-    node in this process, `start_node` starts one as a process, and each step waits until the node has processed its
-    scans. Used as a context manager, it ends everything that it has started. It needs ROS 2.
+    It has the methods of `LocalRig`. Its `client` sends commands and calls services like an operator's program. Use it
+    to test ROS 2 nodes: `host` runs a node in this process, `start_node` starts one as a process, and each step waits
+    until the node has processed its scans. Used as a context manager, it ends everything that it has started. It needs
+    ROS 2.
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
@@ -91,11 +92,11 @@ class RosRig(RigDriver):
         name: name of the rig in reports and messages.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
-            become parameters of an analysis node. None means no analysis.
+            become parameters of an analysis node. None means no analysis, {} one with the defaults.
         record: directory of a run that a recorder writes; True means a temporary one, from which `save` copies it.
         also: further topics whose tables are kept, such as `truth/scan`.
-        mode: `time.mode` of a new rig. `lockstep`, the default, advances only on request; `realtime` and `free_running`
-            rigs run by themselves, and `step` waits for their scans.
+        mode: `time.mode` of a new rig; a running rig keeps its own. `lockstep`, the default, advances only on request;
+            `realtime` and `free_running` rigs run by themselves, and `step` waits for their scans.
         hosted: whether to run a new rig and its recorder in this process instead of processes of their own. They start
             ten times faster and still use real DDS.
         namespace: namespace of a running rig in this environment's domain, which is driven instead of a new one.

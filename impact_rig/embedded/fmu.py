@@ -57,8 +57,10 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
     """Write a co-simulation unit (FMU) of a rig; an existing file is replaced.
 
     Args:
-        config: configuration of the rig, of which the unit can change only the gap. With the waveform "stream", the
-            input `current` of the unit is the sample of the drive in each step, otherwise the amplitude of a sine.
+        config: configuration of the rig. The FMU has the gap as a parameter, and drive signals as inputs; all other
+            values are fixed. The inputs are `frequency` [Hz] and `current`, the amplitude of a sine; with the waveform
+            "stream", there is only `current`, the sample of the drive in each step. `current` is in the SI unit of
+            `drive.kind`.
         path: path of the file to write.
         version: version of FMI, one of `VERSIONS`.
         kernels: folder of the compiled kernels; those of another machine need its cross compiler, named in the
@@ -98,7 +100,7 @@ def _drive(config: RigConfig) -> str:
 
 
 def _compile(work: Path, kernels: Path) -> str:
-    """Compile the FMU's shared library into the folder `work`; return the machine for which the compiler makes code.
+    """Compile the FMU's shared library into the folder `work`; return the compiler's target machine, such as `x86_64`.
 
     Raises:
         ImpactRigError: the C compiler is missing or fails.

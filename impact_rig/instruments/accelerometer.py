@@ -103,7 +103,9 @@ class Accelerometer(Instrument):
         )
 
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:  # noqa: ARG002
-        """Return the fields of an Imu message for one reading [m/s²]; its variance is `noise` [m/s², rms] squared.
+        """Return the fields of an Imu message for one reading along x [m/s²], with the variance `noise` squared.
+
+        `noise` is the rms of the noise [m/s²].
 
         The message type Imu has no field for a clipped reading, so `clipped` is ignored.
         """

@@ -54,7 +54,7 @@ def test_a_truncated_file_is_reported_with_its_own_exit_code(record, tmp_path, c
     assert not found.intact
     assert found.verdict.startswith("recovered: every checksum fits, but an unknown number of messages")
     assert main(["info", str(tmp_path / "out")]) == 1
-    assert "recovered from run" in printed(capsys)
+    assert "recovered from the damaged run run" in printed(capsys)
 
 
 def test_messages_seconds_and_bytes_are_reported_per_file(record, tmp_path):
