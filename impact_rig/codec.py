@@ -143,7 +143,7 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
         topic: topic of the table (an entry of `impact_rig.topics`, such as `impact_rig.topics.SCAN`), whose columns and
             values are then checked; None allows any columns and values.
         needs: names of columns that the table must have in addition to those of `topic`, such as the channels of a
-            scan.
+            scan; ignored without `topic`.
 
     Returns:
         The table. Its rows are a read-only view of `data`, or a new array if `topic` has columns that `data` lacks or

@@ -196,7 +196,7 @@ class Drawn:
 
     Args:
         name: name of the drawing, any text; its file names are derived from it.
-        figure: matplotlib figure, whose texts `plain_texts` changes.
+        figure: matplotlib figure; its texts are changed at once, as by `plain_texts`.
         caption: sentence(s) below the drawing, which also serve as alternative text.
         lines: numbers that the drawing shows, for its CSV file.
     """

@@ -216,8 +216,8 @@ def _paired(found: list[Complex]) -> list[Complex] | None:
 def resolvent(matrix: Matrix) -> tuple[list[Decimal], list[list[list[Decimal]]]]:
     """Return p and B of (s I − M)⁻¹ = Σ_j B_j s^j / p(s) for a matrix M: shapes (n + 1,), (n, n, n), constants first.
 
-    p is the characteristic polynomial Σ c_j s^j. B_{n−1} = I, c_n = 1; then c_j = −trace(M B_j) / (n − j), B_{j−1} = M
-    B_j + c_j I.
+    p is the characteristic polynomial Σ c_j s^j. B_{n−1} = I and c_n = 1. Then c_j = −trace(M B_j) / (n − j) and
+    B_{j−1} = M B_j + c_j I, for j = n − 1, …, 0. The computation has `DIGITS` digits.
     """
     n = len(matrix)
     places = range(n)

@@ -225,10 +225,10 @@ class BandPass(NamedTuple):
 def band_pass(low_hz: float, high_hz: float, tick_s: float) -> BandPass:
     """Return the band-pass filter from `low_hz` to `high_hz` that turns white noise of unit rms into noise of unit rms.
 
-    The noise has one number per tick of `tick_s` seconds.
+    The noise has one number per tick of `tick_s` seconds. The filter is of 8th order.
 
     Raises:
-        ValueError: the band is empty or not below half the rate of ticks.
+        ValueError: not 0 < `low_hz` < `high_hz` < 0.5 / `tick_s`.
     """
     if not 0.0 < low_hz < high_hz < 0.5 / tick_s:
         raise ValueError(f"the band must be 0 < low < high < {0.5 / tick_s:g} Hz, got {low_hz!r} to {high_hz!r} Hz")

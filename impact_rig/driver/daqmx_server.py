@@ -154,7 +154,10 @@ class Service:
 
     @_served
     def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
-        """Wait until all samples of a task are acquired or generated; fail if that takes longer than requested."""
+        """Wait until all samples of a task are acquired or generated.
+
+        Fail after `time_to_wait` seconds of wall time (negative: no limit).
+        """
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
 
     @_served

@@ -207,7 +207,10 @@ class AnalogOutput:
         self.next_sample += len(values)
 
     def _lost(self) -> int:
-        """Return how many samples since the last call came too late; continue at the rig's present sample.
+        """Return how many samples since the last call came too late.
+
+        If the next sample would come too late, it is moved to the first one that can arrive in time; the samples that
+        this skips count as well.
 
         Raises:
             UnderrunError: there are such samples, and `raise_underrun` is set; the output then stops playing.

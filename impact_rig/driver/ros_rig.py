@@ -692,7 +692,10 @@ class RosRig(RigDriver):
         self.client.set_parameters("rig", {"time.peers": self._peers})
 
     def _acknowledge_answers(self, name: str, output: str, timeout_s: float) -> Collector:
-        """Acknowledge blocks on behalf of the node `name`: each message that it publishes on `output` answers a block.
+        """Acknowledge blocks of scans for the node `name`, which publishes a message on `output` for each block.
+
+        A message with a header acknowledges the block that has its stamp; one without acknowledges the next block in
+        order. `timeout_s` is the time limit for a publisher of `output` to appear [s].
 
         Returns:
             Collector of these messages.

@@ -426,7 +426,8 @@ class Chain:
 def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: float) -> NDArray[np.float64]:
     """Return the jump of the superior base's velocity [m/s] at the start of each piece, shape (n,).
 
-    The jumps are caused by the instantaneous impacts `blows` on a superior base of the mass `mass_kg` [kg].
+    The jumps are caused by the instantaneous impacts `blows` on a superior base of the mass `mass_kg` [kg]; those in
+    one piece add up. `motion_tick` is the tick at which the pieces begin; impacts outside the pieces are ignored.
     """
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick
