@@ -160,14 +160,14 @@ def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row of a table's heading contains units.
 
     It does if its first cell is a label such as `units`. Otherwise it depends on the row `above`. If that has no empty
-    cell and begins with the name of a column of times or frequencies, only the first cell decides: it must be a unit of
-    time or frequency. Else every filled cell must be a unit.
+    cell and begins with the name of a column of times or frequencies, a filled first cell decides alone: it must be a
+    unit of time or frequency. Else every filled cell must be a unit.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:
         return True
     is_named = bool(above) and all(cell.strip() for cell in above)
-    if is_named and (is_time_name(above[0]) or bare(above[0]) in FREQUENCY_NAMES):
+    if is_named and cells[0].strip() and (is_time_name(above[0]) or bare(above[0]) in FREQUENCY_NAMES):
         return quantity(cells[0].strip().strip("()[]")) in ("s", "Hz")
     return bool(filled) and all(is_unit(cell) for cell in filled)
 

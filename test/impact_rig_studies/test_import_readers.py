@@ -139,6 +139,8 @@ def rows_of(head: str, separator: str = ",") -> str:
     [
         ("time,base,laser\ns,mm,mm", ["base", "laser"], ["mm", "mm"]),
         ("time,base,laser\n[s],[mm],[g]", ["base", "laser"], ["mm", "g"]),
+        ("time,base,laser\n,mm,g", ["base", "laser"], ["mm", "g"]),
+        ("Time (s),base,laser\n,[mm],[g]", ["base", "laser"], ["mm", "g"]),
         ("s,mm,m/s2\ntime,base,acc", ["base", "acc"], ["mm", "m/s2"]),
         ("Test 4\nOperator: ab\n\ntime [s],base (mm),acc (m/(s^2))", ["base", "acc"], ["mm", "m/(s^2)"]),
         ("# time,base [mm],laser [mm]", ["base", "laser"], ["mm", "mm"]),

@@ -86,6 +86,16 @@ def rig() -> Iterator[RosRig]:
         yield started
 
 
+@pytest.mark.parametrize("hosted", [True, False])
+def test_the_answers_of_a_hosted_node_have_arrived_when_a_step_returns(hosted: bool) -> None:
+    with RosRig(LINEAR, hosted=hosted) as rig:
+        rig.host(Answerer)
+        answers = rig.listen("answers")
+        for steps in range(1, 51):
+            rig.step()
+            assert len(answers) == steps
+
+
 @pytest.mark.parametrize(("refused", "given"), [("faults", {"faults": [LOST]}), ("hosted", {"hosted": True})])
 def test_what_only_a_new_rig_can_have_is_refused_for_a_running_one(refused: str, given: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=f"^{refused} is only for a new rig, but namespace='/rig' names a"):
