@@ -411,8 +411,8 @@ class Source(abc.ABC):
     def guard(self, what: str, work: Callable[[], T]) -> T | None:
         """Call a function that is a part of the source's work; if it fails, count the failure under the name `what`.
 
-        The loop of the source must continue in any case, because it also sends STOP. Returns the result of the
-        function, or None if the function has failed.
+        `failures` keeps the count and the last reason. The loop of the source must continue in any case, because it
+        also sends STOP. Returns the result of the function, or None if the function has failed.
         """
         return guard(self.failures, what, work)
 

@@ -243,7 +243,8 @@ class _ModelledScans:
     """All scans of a run (`true`), and the scans of the model (`model`) at the same times.
 
     In `true`, laser, base and current are corrected for the lag and skew of their sensors, the accelerometer is not.
-    `model` is zero until each stretch has been simulated.
+    The scans are simulated in stretches, which end where scans are missing or the label of the gap changes. `model` is
+    zero in a stretch that has not been simulated yet.
     """
 
     def __init__(self, run: Run, calibration: Calibration) -> None:

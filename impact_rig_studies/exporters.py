@@ -50,8 +50,8 @@ def map_points(directory: Path) -> Tables | None:
 def study_rows(directory: Path) -> Tables | None:
     """Return the tables of the dynamics studies in a directory, by kind of study.
 
-    Only kinds with results are contained. If there is only one, `points` is a second name for it. The result is None if
-    the directory is not that of dynamics studies.
+    Only kinds with results are contained. If there is only one kind, its table is also contained as `points`. The
+    result is None if the directory is not that of dynamics studies.
     """
     if not dynamics.store(directory).file.exists():
         return None

@@ -142,7 +142,7 @@ class Store:
 
         Raises:
             FileNotFoundError: the job has no file.
-            DamagedPointError: the file, or a requested trace, is damaged.
+            DamagedPointError: the file is damaged, or the job asks for a trace and a stored one is damaged or lost.
         """
         path = self._path(job, "json")
         try:

@@ -167,8 +167,8 @@ def add_import(commands: Commands) -> None:
         "--resample",
         type=int,
         metavar="HZ",
-        help="scans per second at which signals that are not uniform in time, or have different times, are "
-        "interpolated; at least the rate of the file (default: such signals are rejected)",
+        help="scans per second at which all signals are interpolated, for files whose times are not uniform or differ "
+        "between signals; at least the (median) rate of the file (default: such files are rejected)",
     )
     parser.add_argument(
         "--frequency",
@@ -434,7 +434,7 @@ def _add_hold(tests: Commands) -> None:
         help="quantity whose amplitude is controlled: coil current, or motion of the inferior or superior base",
     )
     parser.add_argument(
-        "target", metavar="PEAK", help="amplitude to hold, with its unit, e.g. 60um, or 0.5A for the current"
+        "target", metavar="PEAK", help="peak amplitude to hold, with its unit: 60um of a base, or 0.5A of the current"
     )
     _add_points(parser)
     add_field(parser, attrs.fields(HoldPlan).tolerance, "X")

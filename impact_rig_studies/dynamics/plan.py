@@ -292,7 +292,8 @@ def exponent_at(line: MapLine, value: float) -> StudyTask:
     """Return a task that computes the largest Lyapunov exponent of the motion at one point of a map.
 
     Args:
-        line: line of the map on which the point lies. Its direction must not be up or down: the task starts from rest.
+        line: line of the map on which the point lies. Its direction must not be up or down, because the task starts
+            from rest; this is not checked.
         value: value of the parameter that varies along the line, at the point.
     """
     changes, frequency, current, sphere = line.place(value)

@@ -253,8 +253,8 @@ class Stroboscope:
     def _mirrored(self, one: Orbit) -> float:
         """Return how far an orbit is from its mirror image half a period later, as the largest coordinate difference.
 
-        It is NaN if the period is an even number of cycles, or if the sphere is in contact half a cycle or
-        half a period later.
+        Coordinates are scaled. The result is NaN if the period is an even number of cycles. It is also NaN if the
+        sphere is in contact with a wall after half a cycle or half a period, because the motion is followed to both.
         """
         return float(np.abs(self._half(one.z, one.p) - one.z).max()) if self.cycles % 2 else math.nan
 

@@ -128,7 +128,10 @@ def _fits(signal: Signal, channel: str) -> bool:
 
 
 def reason_unused(name: str, signals: AnyMapping[str, Signal], mapping: Mapping) -> str:
-    """Return the reason why no channel uses a signal, for the user; empty if the signal gives frequency or gap."""
+    """Return the reason, for the user, why a signal that no channel uses is not used.
+
+    The reason is empty if the signal gives the frequency or the gap.
+    """
     if name in (mapping.frequency, mapping.gap):
         return ""
     one = signals[name]

@@ -222,7 +222,7 @@ class Times:
 
     @property
     def note(self) -> str:
-        """Note for the user that dates such as 3/4/2026 were read with the month first; empty if they were not."""
+        """Note for the user that all dates were read with the month first, as in 3/14/2026; empty if they were not."""
         return "dates were read as month/day/year" if self._month_first else ""
 
     @staticmethod

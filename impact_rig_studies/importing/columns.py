@@ -326,7 +326,8 @@ def _time_axis(name: str, unit: str, values: Real) -> _Axis:
 def _abscissa(axis: _Axis, rate_hz: float | None) -> tuple[Abscissa, SignalKind]:
     """Return the abscissa of all signals of a table, and their kind.
 
-    `rate_hz` is the rate that the file states elsewhere, None if it states none.
+    `rate_hz` is the rate that the file states elsewhere, None if it states none. An abscissa of times contains both
+    this rate and the listed times; the conversion decides which of them applies.
     """
     values = axis.values
     if axis.kind is AbscissaKind.FREQUENCY:

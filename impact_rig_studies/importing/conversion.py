@@ -305,7 +305,7 @@ def _calibration(
     no delay, an unlimited range.
 
     Raises:
-        ConfigError: a range is empty.
+        ConfigError: the lower end of a channel's range is not below the upper end.
     """
     given_rate = mapping.rate_hz is not None or mapping.resample_hz is not None
     estimated: dict[str, tuple[str, ...]] = {}
@@ -407,6 +407,7 @@ def _with_amplitude(
 ) -> Iterator[tuple[int, float, float]]:
     """Yield the drive commands with missing amplitudes estimated from the measured `values` of the drive.
 
+    A command is (stamp [ns], frequency [Hz], peak amplitude in the unit of `values`, NaN if missing).
     The estimate is √2 times the standard deviation of the values from the command to the next one. Without
     values there, the amplitude remains NaN.
     """
