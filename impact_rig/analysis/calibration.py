@@ -154,7 +154,7 @@ class Calibration:
         counts = np.array([names.count(channel) for channel in CHANNELS])
         if counts.max() != 1:
             raise ConfigError(
-                f"daq/info must list at least one of the channels {', '.join(CHANNELS)}, and none of them twice, got "
+                f"daq/info must list one or more of the channels {', '.join(CHANNELS)}, each once, got "
                 f"{', '.join(names) or 'no rows'}; correct the program that publishes it"
             )
         present = counts == 1
@@ -307,7 +307,7 @@ class Calibration:
         return np.concatenate(places), np.concatenate(weights)
 
     def noise_crowding(self) -> Real:
-        """Return the noise density of each channel at low frequencies, relative to white noise of the same rms.
+        """Return the noise power density of each channel at low frequencies, relative to white noise of the same rms.
 
         White noise, with the result 1, fills the band up to rate / 2. Noise that a sensor limits to a narrower band is
         denser, with a result above 1. The shape is (4,).

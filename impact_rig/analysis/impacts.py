@@ -209,10 +209,12 @@ def _detect(
     It stops early when `out` is full. The result is (number of impacts found, index of the next sample to process).
 
     `state` = [filter memory 1, filter memory 2, variance, threshold of the ringing, peak, sign, swing].
-    `place` = [scan, samples left while the filter settles, samples left in which the peak is sought (`hunting`),
+    `place` = [scan, samples left while the filter settles, samples left of the search for the peak (`hunting`),
     1 if the filter is to be started, scan of the peak, scans since the last impact].
-    While `hunting` counts down after a crossing of the threshold, the peak is the largest value with the crossing's
-    sign. The swing, the largest value of either sign, determines the threshold of the ringing.
+    After a crossing of the threshold, `hunting` counts down. Meanwhile the peak is the largest value with the sign of
+    the crossing. The swing, the largest value of either sign, determines the threshold of the ringing.
+    `limits` = [lowest threshold, noise factor, ringing factor, decay and forgetting per sample].
+    `times` = [samples of the search, samples in which the filter settles, samples in which the sensor rings].
     """
     in_0, in_1, in_2, out_1, out_2 = coefficients
     floor, noise_factor, ring_factor, decay, forget = limits

@@ -84,11 +84,11 @@ def transient_bias(windows: Complex, measured: int) -> complex:
 
 
 def more_windows(taken: int, reached: float, share: float) -> int:
-    """Return the number of further windows until a dying transient has fallen to the share `share` of its present size.
+    """Return how many more windows a decaying transient takes until only the share `share` of its present size is left.
 
-    A transient that began as large as the response itself and took n windows to fall to a fraction ε takes n ln(s) /
-    ln(ε) more to fall by another factor s. A transient below the noise cannot be measured any more, but is assumed to
-    keep its pace.
+    The transient is assumed to decay exponentially, and to have been as large as the response itself at the change of
+    the drive. If it fell to the fraction ε in n windows, it takes n ln(s) / ln(ε) more (rounded up) to fall by the
+    factor s. A transient below the noise cannot be measured any more, but is assumed to keep its pace.
 
     `taken` is n, the number of windows from the change of the drive to the first measured one. `reached` is ε, and
     `share` is s, 0 < s < 1. The result is 0 if ε is not between 0 and 1.
@@ -99,7 +99,8 @@ def more_windows(taken: int, reached: float, share: float) -> int:
 def _limit(quarters: Complex) -> complex:
     """Return the limit of a decaying series of which `quarters` are four successive values, by Aitken's extrapolation.
 
-    The factor q from one difference of neighbours to the next is a least-squares fit to the three differences.
+    The factor q from one difference of neighbours to the next is a least-squares fit to the three differences, and at
+    most `SLOWEST_RATIO` in absolute value. If the differences are zero, the limit is the last value.
     """
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
@@ -176,9 +177,9 @@ class Progress:
 
     @property
     def reason(self) -> str:
-        """Sentence for users with the time without impacts up to which the row is delayed; empty if it is not delayed.
+        """Sentence for users that the row is delayed because a sphere may still strike; empty if it is not delayed.
 
-        The time counts from the last impact [s]. Until it is over, a sphere may still strike.
+        It states how long the row waits at most, in seconds since the last impact.
         """
         if not self.quiet.is_waiting:
             return ""
@@ -215,7 +216,8 @@ class Judge:
 
         `quiet` is the wait for the sphere, as it stands at the end of the window. An unsound window (over range, not
         finite, noisy) is discarded together with all windows before it. The result is then a measurement that has only
-        a status; while windows stay unsound for the same reason, that result is given once in `windows` windows.
+        a status. While windows stay unsound for the same reason, only every `windows`-th of them gives that result
+        again, and the others give None.
         """
         self._quiet = quiet
         self._since_row += 1

@@ -250,7 +250,8 @@ class Tracker:
         """Process the next block of scans; blocks must be passed in order.
 
         Blocks that arrive before the first calibration wait for it. Those that are older than `hold_s` by then are
-        dropped and counted.
+        dropped and counted. A repeated block is ignored. If blocks are missing, or the stamps go back, the measurement
+        in progress ends with a row that states this, and a new one begins.
 
         Args:
             scan: a table `daq/scan`.
@@ -523,7 +524,8 @@ class Tracker:
     def _begin(self, index: int) -> None:
         """Start new cycles and windows at scan `index`, where drive, label or calibration change.
 
-        They use the present drive, calibration and settings. The column `waited` of the rows counts from there.
+        Indices count from the scan at `_start_ns`. The cycles and windows use the present drive, calibration and
+        settings. The column `waited` of the rows counts from there.
         """
         assert self._calibration is not None
         rate, frequency = self._calibration.rate_hz, self._command.frequency_hz if self._command else 0.0

@@ -309,8 +309,9 @@ def _parts(
 ) -> list[_Part]:
     """Return the contributions to the uncertainty of DT and phase by scatter, transient, sensitivities and lags.
 
-    `variance` are the variances of the means of ln DT and of the phase, shape (2,). `bias` is the bias due to a
-    transient, divided by the complex transmissibility. `laser_m` and `base_m` are the amplitudes |X_1| and |X_b|.
+    `variance` are the variances of the means of ln DT and of the phase, shape (2,). `lag_uncertainty` is the relative
+    standard uncertainty of every lag. `bias` is the bias due to a transient, divided by the complex transmissibility.
+    `laser_m` and `base_m` are the amplitudes |X_1| and |X_b|.
     """
     # an extrapolated bias contains the noise of the windows, which is already counted: only the excess is a bias
     left = np.maximum(np.array([bias.real, bias.imag]) ** 2 - variance, 0.0) / 3.0

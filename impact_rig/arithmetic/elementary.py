@@ -126,7 +126,7 @@ def log(x: float) -> float:
 
 @kernel
 def power(x: float, y: float) -> float:
-    """Return x^y for a finite x > 0, with an error within (1 + 3 |y ln x|) ulp; 0 for x = 0 and y > 0."""
+    """Return x^y for a finite x > 0, with an error within (1 + 3 |y ln x|) ulp; 0 for x <= 0, whatever y is."""
     return exp(y * log(x)) if x > 0.0 else 0.0
 
 

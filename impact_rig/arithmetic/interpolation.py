@@ -39,7 +39,8 @@ PIECE_TERMS = 14
 def _chebyshev() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the Chebyshev nodes in ascending order, the matrix TO_MONOMIALS, and the matrix that `shorten` uses.
 
-    Row k − NODES of the last one is TO_MONOMIALS times the vector of node^k, for k = NODES … PIECE_TERMS − 1.
+    The last one replaces x^k, for k = NODES … PIECE_TERMS − 1, by the polynomial that agrees with it at the nodes: its
+    row k − NODES contains the coefficients of this polynomial, constant first.
     """
     x = [unit(pi() * (2 * j + 1) / (2 * NODES)).real for j in reversed(range(NODES))]
     columns = []

@@ -91,7 +91,7 @@ class HighPass:
         self._state = None
 
     def feed(self, scan: Table) -> Table:
-        """Return the filtered channel of a block as a table with the single column `pulses`.
+        """Return the filter's channel of a block, filtered, in its unit, as a table with the single column `pulses`.
 
         The filter starts as if the channel had always had its first value.
         """

@@ -42,7 +42,7 @@ def test_calibration_tolerates_extra_and_absent_channels_but_rejects_none_and_du
     assert Calibration.from_info(more).noise.tolist() == Calibration.from_info(rows).noise.tolist()
     assert Calibration.from_info(rows[rows["name"] != b"laser"]).present.tolist() == [True, False, True, True]
     for wrong in (rows[:0], more[:1], np.concatenate([rows, rows])):
-        with pytest.raises(ConfigError, match=r"one of the channels .*laser.* none of them twice"):
+        with pytest.raises(ConfigError, match=r"or more of the channels .*laser.* each once"):
             Calibration.from_info(wrong)
 
 

@@ -310,7 +310,7 @@ def test_gain_uncertainty_follows_the_curve_of_the_sensor(amplitude):
         ({"rate": [1e4, 1e4, 2e4, 1e4]}, "rate must be the same in all rows, above 0"),
         ({"range_low": 1e9}, "range_low must be < range_high"),
         ({"lag_order": 3.0}, "lag_order must be one of 0, 1, 2"),
-        ({"name": b"laser"}, "one of the channels accelerometer, laser, base, current, and none of them twice"),
+        ({"name": b"laser"}, "or more of the channels accelerometer, laser, base, current, each once"),
     ],
 )
 def test_an_impossible_calibration_is_rejected_by_name(change, message):
