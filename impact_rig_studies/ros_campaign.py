@@ -55,7 +55,7 @@ def ros_runner(
     fixed at their start, jobs that differ in them are measured by different processes, one group after the other.
 
     Args:
-        logs: directory; the processes write their logs into its subdirectory `logs`.
+        logs: directory in which a folder `logs` is created for the logs of the processes.
         runs: directory in which every job is recorded as one run; None means no recording.
         name: function that returns the name of a job's run, a directory in `runs`.
         watch: callback for the progress of each job.

@@ -71,7 +71,8 @@ def find(plan: MapPlan, search: Search) -> Optimum:
     """Find the value of a parameter at which DT is reduced most, by simulating points of its range.
 
     Args:
-        plan: plan of a map, for rig, frequency, current and settings; each point is measured from a reset rig.
+        plan: plan of a map, of which only rig, frequency, current and settings are used. Each point is measured from a
+            reset rig.
         search: name of the parameter, its range, and the number of points of the first, coarse pass over it.
     """
     known: dict[float, Reading] = {}

@@ -105,9 +105,9 @@ class MapLine(HashedTask):
         """Return everything that defines the point of the line at one value of its axis.
 
         Returns:
-            Configuration values by dotted name, frequency and amplitude of the drive, and the sphere's initial position
-            [m] and speed [m/s]. The last is None if no axis sets them; then `sphere.start` applies. If only one of
-            the two is an axis, the other is 0.
+            Configuration values by dotted name, frequency [Hz] and amplitude (A, m or V by `drive.kind`) of the drive,
+            and the sphere's initial position [m] and speed [m/s]. The last is None if no axis sets them; then
+            `sphere.start` applies. If only one of the two is an axis, the other is 0.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)

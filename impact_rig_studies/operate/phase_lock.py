@@ -704,8 +704,8 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
         loop: the rig.
 
     Returns:
-        The measured points, and the reason why the sweep ended early ("" if it did not). A complete sweep leaves the
-        drive at zero current.
+        The measured points, and the reason why the sweep ended early ("" if it did not). The drive is at zero current
+        in both cases.
 
     Raises:
         CommandError: the rig rejects a command.

@@ -327,8 +327,8 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
     """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
 
-    The effective ones are infinite if there is no part of type A. `found` is the uncertainty budget, and `row` the
-    measurement of `transmissibility/table` to which it belongs.
+    The first ones are the number of batches or cycles minus 1. The effective ones are infinite if there is no part of
+    type A. `found` is the uncertainty budget of `row`, a measurement of `transmissibility/table`.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """

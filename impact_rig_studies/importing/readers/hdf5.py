@@ -94,7 +94,8 @@ class Hdf5Tree:
         """Return the texts in a dataset as a list, which is empty for an empty dataset.
 
         Raises:
-            RecordingError, BudgetError: as `array`, or the dataset has more texts than a file may have columns.
+            RecordingError: as `array`.
+            BudgetError: as `array`, or the dataset has more texts than a file may have columns.
         """
         values = self.array(name, dataset)
         words = [] if values is None else values.reshape(-1).tolist()

@@ -58,7 +58,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
             if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > member.file_size:
                 raise RecordingError(
                     f"{path}: {member.filename} has {member.file_size} bytes, too few for the shape {shape} of {dtype} "
-                    "in its header; it is damaged"
+                    "in its header; this array is damaged: save it again"
                 )
             with archive.open(member) as stream:
                 array = np.lib.format.read_array(stream, allow_pickle=False)

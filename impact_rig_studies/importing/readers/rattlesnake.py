@@ -35,8 +35,8 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all channels of all streams of a file as signals.
 
-    The name of a signal is the comment of its channel, or else its node, or else `channel_` with its number. If there
-    are several streams, the names of all but the longest stream's signals begin with the name of their stream.
+    The name of a signal is the comment of its channel, or else its node, or else `channel_` with its number from 0. If
+    there are several streams, the name of the stream is put in front, except for the longest stream.
 
     Raises:
         RecordingError: the file is not one of Rattlesnake's, or its rate is not finite and above 0.

@@ -105,8 +105,8 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
     """Return the abscissa of a channel with `count` values, and its kind.
 
     The step that its waveform properties state takes precedence, then the times `listed` in another channel [s], then
-    `rate_hz`. A step of `NO_INCREMENT` may mean that none was set. It is therefore ignored if times are listed, and if
-    `rate_hz` contradicts it, the channel has no abscissa.
+    `rate_hz`. But a step of `NO_INCREMENT` may mean that none was set: then listed times take precedence, and if
+    `rate_hz` contradicts it, the channel has no abscissa. Without either it is used, with a note for the user.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
