@@ -138,7 +138,7 @@ def _unsettled(rows: NDArray[np.void]) -> list[str]:
 def _known(value: float, known: set[float], same: float) -> float:
     """Return the smallest of `known` that differs from `value` by at most `same`; if there is none, `value` rounded.
 
-    It is rounded to a multiple of the largest power of ten that is at most `same`.
+    The rounded value is a multiple of the largest power of ten <= `same`. `known` is not changed.
     """
     near = (one for one in sorted(known) if abs(one - value) <= same)
     return next(near, round(value, math.ceil(-math.log10(same))))

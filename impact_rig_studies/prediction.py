@@ -131,7 +131,7 @@ class Manifold:
 
     @property
     def kappa(self) -> float:
-        """Factor κ = 1 + 2μ/π² that accounts for the recoil of the structure in the motion; 1 without recoil."""
+        """Factor κ = 1 + 2μ/π² (μ: `mass_ratio`) that accounts for the recoil of the structure; 1 without recoil."""
         return 1.0 + 2.0 * self.mass_ratio / math.pi**2
 
     @property
@@ -211,7 +211,8 @@ class Branch:
         dt: displacement transmissibility.
         phase_rad: phase of the superior base relative to the inferior one, −π … π.
         impact_speed_m_s: speed of the sphere relative to the wall, before an impact.
-        impact_phase_rad: phase of the superior base past its right turning point when the right wall is struck.
+        impact_phase_rad: phase of the superior base's motion when the sphere strikes the right wall, counted from the
+            superior base's right turning point.
         theta: amplitude of the sphere over half the gap, Θ.
         stable: whether the motion is stable.
         kind: `stable`, or how it loses its stability: `fold`, `symmetry` (the half cycles become different) or `torus`
@@ -284,7 +285,7 @@ class _Answer(NamedTuple):
 
 @attrs.frozen
 class LinearRig:
-    """Data of a rig for the closed-form prediction: its linear constants, the sphere's mass, and its motions."""
+    """Data of a rig for the closed-form prediction: linear constants, mass and two-impact motions of the sphere."""
 
     linear: Constants
     sphere_kg: float
@@ -542,7 +543,7 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
 
 
 def widest_gap_m(motions: Branch) -> float:
-    """Return the largest gap [m] among the motions of this branch, beyond which none exists."""
+    """Return the largest gap [m] at which this branch has a motion; the branch must not be empty."""
     return float(np.max(motions.gap_m))
 
 

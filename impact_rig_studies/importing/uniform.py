@@ -190,8 +190,8 @@ def uniform(
 def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tuple[Real | None, Rate | None]:
     """Return the listed times [s] or the rate [Hz] that applies, as (times, None) or (None, rate).
 
-    The rate of the mapping applies, if it states one, or else the rate that the file states. The times that the file
-    lists apply if it states no rate, or one that contradicts them.
+    The rate of the mapping applies if it states one. Otherwise the rate that the file states applies, unless the file
+    also lists times that contradict it. Otherwise the listed times apply.
 
     Raises:
         ConfigError: neither times nor a rate are known, or the mapping's rate is out of range.
@@ -217,7 +217,10 @@ def _basis(path: Path, abscissa: Abscissa, mapping: Mapping, count: int) -> tupl
         )
     times = abscissa.values
     if times is not None and len(times) != count:
-        raise RecordingError(f"{path} has {len(times)} times for {count} values; each value needs one time")
+        raise RecordingError(
+            f"{path} has {len(times)} times for {count} values; each value needs one time, or give the rate "
+            "(--scan-rate HZ) to ignore the times"
+        )
     if abscissa.step is None:
         return times, None
     rate = 1.0 / abscissa.step
@@ -280,7 +283,10 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
 
 
 def _without_holes(times: Real, rate: float, digit: float) -> float:
-    """Return the scan rate of the longest stretch of times without a missing scan; `rate` is a first guess."""
+    """Return the scan rate [Hz] of the longest stretch of times [s] without a missing scan; `rate` is a first guess.
+
+    `digit` is the last digit of the written times [s], 0 if they are exact.
+    """
     holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
     cuts = [0, *holes.tolist(), len(times)]
     begin, end = max(itertools.pairwise(cuts), key=lambda cut: cut[1] - cut[0])

@@ -392,7 +392,7 @@ def _leaves(record: _Record, frequency_hz: float) -> bool:
 
 
 def _settled(record: _Record, frequency_hz: float, settings: Settings) -> int:
-    """Return the number of cycles after which a motion that has settled repeats, 0 if it has not settled (yet)."""
+    """Return the period of a settled motion in drive cycles, 0 if the motion has not settled (yet)."""
     rows = record.cycles.view(np.float64).reshape(len(record.cycles), -1)
     omega, longest = 2.0 * np.pi * frequency_hz, min(LONGEST_PERIOD, CHUNK // 4)
     tolerances = settings.settle_tolerance, settings.periodic_tolerance
@@ -423,7 +423,10 @@ def _strong(record: _Record) -> NDArray[np.bool_]:
 
 
 def _strikes(record: _Record) -> NDArray[np.uint8]:
-    """Return 1 for each cycle and part of it with a strong impact, 0 elsewhere, shape (cycles, `PHASE_BINS`)."""
+    """Return 1 where a strong impact lies in a bin of a cycle's phase, else 0, shape (cycles, `PHASE_BINS`).
+
+    An impact is strong if its speed is at least `WEAK` times that of the fastest.
+    """
     strikes, strong = np.zeros((len(record.cycles), PHASE_BINS), np.uint8), _strong(record)
     strikes[record.cycle[strong], (record.turn[strong] * PHASE_BINS).astype(np.int64) % PHASE_BINS] = 1
     return strikes

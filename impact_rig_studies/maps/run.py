@@ -131,10 +131,11 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
 
 def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
-    """Return a map as a table: the names of its columns, and one row per measured (or failed) point and layer.
+    """Return a map as a table: the names of its columns, and one row per layer and point that was simulated.
 
-    The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless an axis sets it),
-    and the fields of `Reading`.
+    A layer is a direction or a start of the sphere. Points whose motion could not be simulated have a row as well, with
+    the regime `failed`. The columns are the axes, `direction` (up, down or reset), `start` (start of the sphere, unless
+    an axis sets it), and the fields of `Reading`.
     """
     first = next(iter(done.values))
     return [*done.plan.axes, *_layer(done.plan, first), *done.values[first]], list(_rows(done))

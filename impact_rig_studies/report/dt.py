@@ -312,7 +312,7 @@ def colour(gap_m: float) -> str:
 
 
 def curve(curves: Curves, gap_m: float) -> list[Point]:
-    """Return the settled points with a gap at the paper's frequencies, as far as measured, in their ascending order."""
+    """Return the settled points of one gap at the frequencies of the paper, ascending; unmeasured ones are left out."""
     return [point for frequency in FREQUENCIES_HZ if (point := curves.at(gap_m, frequency)) is not None]
 
 

@@ -222,7 +222,8 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
     """Interpret the `lines` before the first row of numbers as headings.
 
     Returns:
-        A unique name for each column, the known units by name, and the lines that contain neither names nor units.
+        A unique name for each column, the known units by name, and the lines that contain neither names nor units. The
+        name of a column without a heading is `column_` and its position from 0.
     """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
@@ -363,7 +364,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
 def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: Layout) -> NDArray[np.generic]:
     """Convert the cells of column j to integers, floats, or texts (for words and times).
 
-    `numbers` are the indices of their lines, for the message.
+    `numbers` are the indices of their lines from 0, for the message.
 
     Raises:
         RecordingError: a cell in a column of numbers is not a number.

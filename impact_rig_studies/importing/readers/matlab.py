@@ -46,7 +46,7 @@ def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the arrays in a MATLAB file of version 5 to 7 as signals; `library` is `scipy.io`.
 
     Raises:
-        RecordingError: there is no vector of numbers, although the file has variables.
+        RecordingError: the file has variables, but none of them is a vector of numbers.
     """
     found = library.loadmat(io.BytesIO(content), struct_as_record=True)
     left_out: dict[str, str] = {}
@@ -148,7 +148,7 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
     """Return the columns of all structs as signals; a struct without times or rate uses those of the structs around it.
 
     Raises:
-        RecordingError: there is no vector of numbers, although the file has variables; the message names what was left
+        RecordingError: the file has variables, but none of them is a vector of numbers; the message names what was left
             out.
     """
     parts: dict[str, ImportedSignals] = {}

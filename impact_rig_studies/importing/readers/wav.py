@@ -82,7 +82,9 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
 
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
-    """Return the format chunk of a WAV file, the bytes of its samples, and their number according to the header.
+    """Return the format chunk of a WAV file, the bytes of its samples, and the number of bytes according to the header.
+
+    This number is larger than that of the bytes if the file was cut off.
 
     `order` is the byte order, `<` or `>`.
 
@@ -110,7 +112,9 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
 
 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
-    """Return samples as fractions of full scale, shape (n,); PCM is signed, except with 8 bits or less.
+    """Return the samples of all channels, interleaved, as fractions of full scale, shape (n,).
+
+    PCM is signed, except with 8 bits or less.
 
     Args:
         data: bytes of the samples.
