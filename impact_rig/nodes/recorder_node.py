@@ -518,7 +518,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def _lost(self) -> dict[str, int]:
         """Return how many messages of this run were sent and never arrived, by full topic name.
 
-        Topics of which only the newest message matters (`REPLACED`) are left out.
+        Topics without losses, and those of which only the newest message matters (`REPLACED`), are left out.
         """
         return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 

@@ -66,6 +66,9 @@ class RigNode(ManagedNode[RigConfig]):
 
         If the lock file shows every other rig of the namespace, there is no need to wait. Another rig is no error here:
         once active, the node waits until that rig has ended.
+
+        Raises:
+            ConfigError: the rig cannot be built; the transition fails with this message.
         """
         Rig(self.settings)  # its trial simulation loads the compiled code
         self._session.configure()
@@ -76,7 +79,7 @@ class RigNode(ManagedNode[RigConfig]):
     def activate(self) -> None:
         """Start the rig as soon as no other rig is in this namespace and, in real time, its peers have subscribed.
 
-        The wait for peers ends after `time.start_wait_s`.
+        The wait for peers ends after `time.start_wait_s`. This method does not wait: a timer starts the rig later.
         """
         self._session.activate()
 

@@ -67,7 +67,10 @@ class RigState:
         self._lost: dict[str, int] = {}  # by subscriber, the largest number of blocks beyond what is kept for it
 
     def word(self) -> NodeState:
-        """Return the state of the rig, with its reason: the most severe `states.RigWord` that applies now."""
+        """Return the state of the rig, with its reason: the most severe `states.RigWord` that applies now.
+
+        Without a problem it is DRIVING or AT_REST.
+        """
         session = self._session
         reason_not_ready = session.reason_not_ready()
         if reason_not_ready is not None:
@@ -151,7 +154,10 @@ class RigState:
         return (time.time_ns() - time.monotonic_ns() - self._session.clock_offset_ns) / NS_PER_S
 
     def _problems(self, rig: Rig) -> Iterator[Problem]:
-        """Yield the problems of a started rig; of those that cause a state, the most severe comes first."""
+        """Yield the problems of a started rig.
+
+        Those that cause a state are ordered by severity, the most severe first; the others are in no order.
+        """
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime
         others = session.duplicates.sentence()

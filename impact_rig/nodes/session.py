@@ -60,7 +60,7 @@ GRAPH_POLL_S = 0.5  # minimum interval between two checks for other publishers o
 
 
 def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
-    """Return whether ROS discovery is certainly limited to this machine, so that no rig of another one can interfere.
+    """Return whether ROS discovery is certainly limited to this machine, so that no rig on another machine interferes.
 
     Args:
         environment: environment variables.
@@ -226,7 +226,8 @@ class Counts:
     def block_rate_hz(self) -> float:
         """Return the number of blocks per second of wall time, averaged over at least the last two seconds.
 
-        The average begins at a former call, so it covers more time if this method is called less often.
+        The average begins at a former call, so it covers more time if this method is called less often. In the first
+        two seconds it begins at the activation.
         """
         now = time.monotonic()
         self._rates.append((now, self.blocks))
@@ -339,7 +340,7 @@ class Session:
         """Start the rig as soon as no other rig publishes its topics or holds its namespace, at once if there is none.
 
         In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`; then it
-        starts without those that are missing.
+        starts without those that are missing. This method does not wait: a timer starts the rig later.
         """
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
@@ -409,7 +410,7 @@ class Session:
     def deactivate(self) -> None:
         """End the rig, drop unpublished data, and answer waiting requests with an error.
 
-        If the shaker is latched, that of the next rig is latched from its start.
+        If the shaker is latched, the next rig starts with a latched shaker.
         """
         self._timer.stop()
         if self.rig is not None:
@@ -531,7 +532,8 @@ class Session:
     def _catch_up(self, rig: Rig, deadline: float) -> None:
         """Simulate and publish the blocks that are due in real time, until `deadline` [s of the monotonic clock].
 
-        If blocks remain, the next call publishes them.
+        The deadline is checked after every 50 ms of rig time (`CATCH_UP_NS`). If blocks remain, the next call publishes
+        them.
         """
         due_ns = self.pacer.due_ns(self._simulated_ns(rig))
         while True:

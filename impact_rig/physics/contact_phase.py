@@ -139,10 +139,10 @@ def _excess_slope(p: Record, law: CompiledForce, s: Record, step: Record, event:
 
 @kernel
 def _length_by_dense_output(p: Record, law: CompiledForce, s: Record, step: Record, event: int) -> float:
-    """Return the estimated length in χ at which a solved step, which ends beyond an event, would end at that event.
+    """Return an estimate of the length in χ with which a step that has passed an event would end at the event.
 
-    It is the root of `_excess` on the step's dense output, the polynomial through its stages, found by the Illinois
-    method.
+    The step must be solved and its dense output stored, the polynomial through its stages. The estimate is the root of
+    `_excess` on this polynomial, found by the Illinois method.
     """
     low, high, x, last_moved = 0.0, 1.0, 1.0, 0
     excess_low = _excess(p, law, s, step, event, dense_output(s, step, low))
@@ -224,9 +224,9 @@ def _limit_length(s: Record, step: Record) -> float:
 
     The length is also limited to a part of the time until a resting sphere lifts off. Until then the indentation falls
     as the two-thirds power of the time that is left. The lift-off is estimated as the zero of a_r, the acceleration
-    that presses sphere and wall together. Polynomials follow this fall over a part of the time only, and an error that
-    a longer step makes in the slow motion rings through all later steps. This second limit is never shorter than some
-    radians of the contact's own vibration.
+    that presses sphere and wall together. Polynomials follow this fall over a part of the time only. A longer step
+    makes an error in the slow motion, and the contact then rings in all later steps. This second limit is never shorter
+    than some radians of the contact's own vibration.
     """
     if not s.w > 0.0:
         return s.next_h

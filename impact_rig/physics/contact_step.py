@@ -212,7 +212,8 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 def keep_dense_output(s: Record, step: Record) -> None:
     """Store the dense output of the step of length `s.h` from s: the polynomial δ'(x) through its start and stages.
 
-    It predicts the speeds of the next step for Newton's method, and where events and given instants lie in this step.
+    From it follow the first guess of Newton's method in the next step, and estimates of where in this step an event or
+    a given instant lies.
     """
     for n in range(STAGES + 1):
         total = TO_POLYNOMIAL[n, 0] * s.speed
@@ -253,7 +254,8 @@ def dense_slope(step: Record, x: float) -> float:
 def predict_speeds(s: Record, step: Record, h: float) -> None:
     """Fill `step.speed`, the speeds δ' at the stages of a step of length h from s, with a guess for Newton's method.
 
-    The dense output of the step before is extrapolated if it reaches that far; otherwise δ' is a straight line in χ.
+    The dense output of the step before is extrapolated to at most 1.6 times its length. If that does not reach to the
+    end of this step, the guess is a straight line in χ with the slope at s.
     """
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length
@@ -292,7 +294,7 @@ _LEAST_PART = 1e-3  # of `speed_floor`: slower motion of a contact need not be r
 def turned_at(s: Record) -> float:
     """Return the argument `turned_at` of the contact law's force in the state s, see `contact.law`.
 
-    It is the largest w = √δ so far while the contact unloads, and 0 while it loads.
+    It is 0 while the indentation δ grows and is the largest so far. Otherwise it is the largest w = √δ so far.
     """
     return 0.0 if s.w >= s.deepest_w and s.speed > 0.0 else s.deepest_w
 
@@ -318,10 +320,10 @@ def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
     The allowed error of the speeds, `step.tolerance`, is `rtol` times the contact's own speed: the largest of |δ'|, δ
     times the contact's natural frequency, and a thousandth of `speed_floor`. Where the sphere rests on the wall, this
-    speed is tiny. The tolerance is then `rtol` times a tenth of another speed: that which a_r, the acceleration that
-    presses sphere and wall together, gives within one radian of the fastest motion of structure or drive. The goal of
-    Newton's method, `step.goal`, depends on the contact's own speed only: instruments solve steps again from another
-    prediction, and must find the same result.
+    speed is tiny. So the tolerance is at least `rtol` times a tenth of another speed. The acceleration a_r, which
+    presses sphere and wall together, gives this speed in the time in which the fastest motion of structure or drive
+    goes one radian. The goal of Newton's method, `step.goal`, depends on the contact's own speed only: instruments
+    solve steps again from another prediction, and must find the same result.
     """
     step.turned_at = turned_at(s)
     elastic, lossy, _, by_w, _ = force_at(p, law, s.per_v0, step.turned_at, s.w, s.speed, step)
@@ -397,7 +399,10 @@ def _set_newton(step: Record, h: float) -> None:
 
 @kernel
 def _add_acceleration_to_newton(step: Record, h: float) -> None:
-    """Add to `step.newton`, the matrix of Newton's method, the part of a_r(t): −(h³/2) ∂slope/∂t MATRIX²."""
+    """Add to `step.newton`, the matrix of Newton's method, the part due to a_r(t): −(h³/2) ∂slope/∂t MATRIX².
+
+    The slope is dδ'/dχ at the stages, and MATRIX the collocation matrix.
+    """
     for i in range(STAGES):
         jerk = 0.0
         for n in range(step.terms - 1, 0, -1):
@@ -457,11 +462,11 @@ def _newton_step(s: Record, step: Record, h: float) -> float:
 def solve(p: Record, law: CompiledForce, s: Record, step: Record, h: float, rounds: int) -> bool:
     """Solve the equations of a step of length h from s; return whether Newton's method converged within `rounds`.
 
-    The solution is stored in `step`; the last stage is the end of the step. While a sphere rests on the wall, a_r(t),
-    the acceleration that presses it there, determines the indentation. So after FEW_ROUNDS Newton's method uses the
-    derivative of a_r(t) as well. A caller that may shorten the step passes FEW_ROUNDS and shortens it on a failure;
-    only steps of a fixed length get all ROUNDS. The stored forces and slopes at the stages belong to the speeds before
-    Newton's last change.
+    The solution is stored in `step`; the last stage is the end of the step. If the result is false, `step` contains no
+    solution. While a sphere rests on the wall, a_r(t), the acceleration that presses it there, determines the
+    indentation. So after FEW_ROUNDS Newton's method uses the derivative of a_r(t) as well. A caller that may shorten
+    the step passes FEW_ROUNDS and shortens it on a failure; only steps of a fixed length get all ROUNDS. The stored
+    forces and slopes at the stages belong to the speeds before Newton's last change.
     """
     predict_speeds(s, step, h)
     step.correction[:] = 0.0

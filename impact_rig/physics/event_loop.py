@@ -119,8 +119,10 @@ class Workspace(NamedTuple):
         counts: one record of COUNTS: how many states, impacts, segments and ticks have been filled in.
         history: records of STATE: the state at each event and at each step of a contact.
         impacts: records of IMPACT: the finished contacts.
-        first_state: for each segment the row of `history` with its first state; last, the number of rows.
-        first_segment: for each tick the index of its first segment; last, the number of segments.
+        first_state: for each segment of the drive the row of `history` with its first state, and at the end the number
+            of rows.
+        first_segment: for each tick, which consists of one or more segments, the index of its first one, and at the end
+            the number of segments.
     """
 
     states: NDArray[np.void]
@@ -276,8 +278,9 @@ def _bounce(
     """Let the sphere rebound from a rigid wall with e times its relative speed, or attach it to the wall.
 
     It is attached if the wall would press it, judged by the `pair_acceleration` [m/s²] that sphere and superior base
-    would have as one body, and if the rebound would not be faster than `least_rebound`. A slower rebound would be lower
-    than the rounding of the positions, `position_rounding` [m], so the sphere would touch again at once, without end.
+    would have as one body, and if the rebound would be too slow. That is so up to `touch_speed`, and up to the speed of
+    a rebound as high as the rounding of the positions, `position_rounding` [m]: such a sphere would touch again at
+    once, without end.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution

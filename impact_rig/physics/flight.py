@@ -180,7 +180,10 @@ def frequency_response(system: Record, omega: float, flight: Record) -> None:
 
 @kernel
 def particular(system: Record, f: DriveSegment, flight: Record) -> None:
-    """Fill `flight.steady` (P) and `flight.growing` (Q) of the response Im[(P + Q t) exp(jωt)] to a drive segment."""
+    """Fill `flight.steady` (P) and `flight.growing` (Q) of the response Im[(P + Q t) exp(jωt)] to a drive segment.
+
+    t counts from the start of the segment.
+    """
     rotor = phasor(f.phase)
     for i in range(system.states):
         flight.growing[i] = f.growth * rotor * flight.answer[i]

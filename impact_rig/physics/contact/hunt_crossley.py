@@ -78,7 +78,8 @@ def factor_returning(restitution: float) -> float:
 def _imbalance(a: Decimal, e: Decimal) -> Decimal:
     """Return ln[(1 + a) / (1 − a e)] − a (1 + e), which is zero where the hysteresis factor a gives the restitution e.
 
-    As a function of a, and as one of e, it is negative below that root and positive above it.
+    It is defined for a e < 1. As a function of a > 0, and as one of e, it is negative below that root and positive
+    above it.
     """
     return ((ONE + a) / (ONE - a * e)).ln() - a * (ONE + e)
 

@@ -67,8 +67,8 @@ class Force(NamedTuple):
         exponent: exponent of the indentation δ in F, from which the time scale of a contact follows.
         restitution: nominal restitution; a rigid law rebounds with it.
         lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
-        scale_free: whether all contacts are equal in units made of their own speed and time scale, so that they can be
-            tabulated; needs a `factor` without dimension.
+        scale_free: whether contacts of all speeds are the same motion if each is measured in units made of its approach
+            speed and its time scale, so that they can be tabulated; needs a `factor` without dimension.
         remembers: whether the force depends on `turned_at`. A pressed sphere may ring undamped under such a law; a
             ringing slower than `contact.speed_floor_m_s` is replaced by its position of rest.
         rigid: whether a contact takes no time; its force is never evaluated.
@@ -110,14 +110,14 @@ class ContactLaw:
     """Base class of a contact law; its fields are the settings that it reads from a configuration's section `contact`.
 
     A field that the section lacks is added to it; make such fields with `impact_rig.config.fields`. A subclass defines
-    the class attributes and the two methods below.
+    the class attributes and the two methods below. It is registered if its module is in the folder of this module.
 
     Attributes:
         name: name by which a configuration chooses the law.
         formula: formula of the law in the documentation's table of laws, without `|`.
         source: publication that defines the law.
         returns: restitution that the law really gives for a nominal 0.35, to three digits.
-        adjustable: whether `calibration: exact` replaces this law by the law `exact`.
+        adjustable: whether the law `exact` is used instead of this one if the setting `calibration` is `exact`.
     """
 
     name: ClassVar[str]
@@ -271,8 +271,8 @@ def raise_failure() -> None:
 def _callback(function: Callable[..., None], kind: Function) -> Pointer:
     """Return a pointer through which compiled code calls a Python function that evaluates a force, of the type `kind`.
 
-    The function gets its records by address. If it raises an exception, `raise_failure` raises it again later, and the
-    forces in the last record, the step, are set to NaN, which ends the contact.
+    The function gets its records by address. If it raises an exception, `raise_failure` raises it again later. The
+    forces in its last argument, the record of the step, are then set to NaN, which ends the contact.
     """
     layout: Any = np.ctypeslib.as_ctypes_type
     types: list[Any] = [
