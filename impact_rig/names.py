@@ -68,8 +68,8 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 
     Args:
         text: text of any origin.
-        limit: number of characters that are kept of a longer text, half from its start and half from its end; its
-            length is stated in between.
+        limit: number of characters, before escaping, that are kept of a longer text: half from its start and half from
+            its end, with the length of the whole text in between.
         lines: whether to keep line feeds; otherwise they are escaped as well.
     """
     if len(text) > limit:
@@ -119,8 +119,8 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
 
-    A text that is an identifier after each `_` has become `-` is returned like that, so `a_b` and `a-b` give the same.
-    Any other text gets the prefix `n-` and a digest at its end, so that different texts stay different.
+    If replacing each `_` by `-` makes the text an identifier, the result is that, so `a_b` and `a-b` give the same. Any
+    other text gets the prefix `n-` and a digest at its end, so that different texts stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
@@ -129,10 +129,11 @@ def identifier(text: str) -> str:
 
 
 def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
-    r"""Return a text for matplotlib, cut to `limit` characters, in which only this project's symbols are formulas.
+    r"""Return a text for matplotlib, cut to `limit` characters, with dollar signs escaped unless they are harmless.
 
-    The project's own labels contain symbols such as `$x_1$`, which matplotlib can always set. If a text has a formula
-    of any other kind or a single dollar sign, all its dollar signs are escaped, so that a name from outside is drawn
+    Matplotlib sets text between dollar signs as a formula. The project's own labels contain symbols such as `$x_1$`,
+    which it can always set; a text whose formulas are all of this kind stays unchanged. If the text, after the cut, has
+    another formula or a single dollar sign, all its dollar signs are escaped. A name from outside is then drawn
     literally.
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)

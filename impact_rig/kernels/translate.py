@@ -139,7 +139,8 @@ def _translated(context: Any, name: str, one: Entry | Exported) -> Any:
 def _from_slots(context: Any, module: Any, name: str, described: Any) -> None:
     """Define in `module` a C function `name` that takes the arguments of a kernel from slots and calls the kernel.
 
-    It stores the kernel's results in its second argument, and returns 0 or the status of a failure. `described` is
+    Slots are words of 64 bits (library.c). The function's first argument is the address of those with the arguments,
+    its second that of those into which it stores the results. It returns 0 or the status of a failure. `described` is
     Numba's description of the compiled kernel.
     """
     words = WORD.as_pointer()

@@ -325,7 +325,7 @@ class Acknowledgements:
     A block (one message on `daq/scan`) that arrives alone is acknowledged at once. The blocks of a burst, at most 16,
     are acknowledged by one message after the executor has delivered them, because sending and receiving an
     acknowledgement takes more time than a block does. The blocks of a rig in real time are acknowledged by a timer,
-    every 50 ms.
+    every 50 ms. A rig counts as one in real time if its stamps differ from the system time by less than a day.
 
     Args:
         node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.

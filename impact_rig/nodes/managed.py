@@ -467,7 +467,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             name: service name.
             on_request: called with each request and a function that answers it, now or later. If it raises an
                 ImpactRigError, the request is rejected with that message; any other exception is reported as a failure.
-                A change of the node's state is published at once.
+                If the node's state has changed after the call, diagnostics are published at once.
             check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
                 ImpactRigError to reject the request.
         """

@@ -148,11 +148,11 @@ class WorkTimer:
         self._late = 0
 
     def keep_in_step(self, wait_s: float) -> None:
-        """Start the timer again in phase if its calls have been late for a while; call this after each callback.
+        """Start the timer again in phase after 100 late calls in a row; call this after each callback.
 
         Args:
-            wait_s: time until the next block is due [s]. A value far below the period means that this call was late. A
-                negative value means that the next call will be late: its block became due during this call.
+            wait_s: time until the next block is due [s]. If it is less than 0.9 periods, this call counts as late. It
+                is negative if that block is overdue already.
         """
         self._late = self._late + 1 if wait_s < (1.0 - LATE_SHARE) * self._period_s else 0
         if self._late >= LATE_CALLS:

@@ -137,7 +137,7 @@ class Parameters(Generic[S]):
     def _unchanged(self, parameter: Parameter) -> bool:
         """Return whether this request can be ignored: a read-only or text parameter would keep its value.
 
-        A value that differs only as `ros2 param load` changes it (`_as_loaded`) counts as the same.
+        If the requested value is the present one as `ros2 param load` changes it (`_as_loaded`), it counts as the same.
 
         Raises:
             ConfigError: a read-only parameter would change.

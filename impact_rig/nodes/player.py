@@ -172,8 +172,9 @@ class Player:
             if message.log_time > self.now_ns + LONGEST_PAUSE_NS:
                 pause_h = (message.log_time - self.now_ns) / NS_PER_S / 3600
                 raise RecordingError(
-                    f"{self._run.path}: a message on {message.topic} is {pause_h:.4g} h later than the one before; a "
-                    f"pause of more than {LONGEST_PAUSE_NS // (3600 * NS_PER_S)} h cannot be replayed"
+                    f"{self._run.path}: a message on {message.topic} is {pause_h:.4g} h later than the one replayed "
+                    f"before it; a pause of more than {LONGEST_PAUSE_NS // (3600 * NS_PER_S)} h cannot be replayed: "
+                    "choose topics without such a pause"
                 )
             waits = message.log_time > self.start_ns or message.topic == self._scan
             while waits and self._must_wait(message.log_time):

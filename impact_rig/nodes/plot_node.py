@@ -140,7 +140,10 @@ class Plots:
             self._intervals = self._pulses = self._recent = None
 
     def on_applied(self, applied: Table) -> None:
-        """Publish frequency and amplitude of a new drive (rows of `shaker/applied`) on `plot/drive`."""
+        """Publish frequency [Hz] and amplitude [A, m or V, by kind of drive] of each row of `shaker/applied`.
+
+        The topic is `plot/drive`.
+        """
         for row in applied.rows:
             self._drive = float(row["frequency"]), float(row["current"])
             self._send(topics.PLOT_DRIVE, applied.stamp_ns, *self._drive, 0.0)

@@ -112,7 +112,8 @@ def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
         ending: record of the signals that this process has received.
 
     Returns:
-        Exit code: 0, or 2 if the node cannot be created because its arguments are invalid.
+        Exit code: 0, or 2 if the node cannot be created, usually because its arguments are invalid. An exception while
+        it is created is printed on stderr; one in a callback is logged, and the node continues.
     """
     try:
         with block_signals(), patient_threads():

@@ -295,7 +295,7 @@ class Publishers:
             self._node.send(topics.ROBOT_DESCRIPTION, String(data=description))
 
     def settle_history(self) -> None:
-        """Wait, at most 0.2 s per topic, until new subscribers have the latched calibration, drive and journal."""
+        """Wait until new subscribers have the latched calibration, drive and journal, at most 0.2 s per topic."""
         for topic in (topics.INFO, topics.APPLIED, topics.JOURNAL):
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 

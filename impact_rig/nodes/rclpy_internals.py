@@ -140,9 +140,9 @@ class PollingEventsExecutor(EventsExecutor):
 
 
 async def _watch(reference: weakref.ref[Any]) -> None:
-    """Process the items that a subscription, service or client holds, once, as the executor may not report them.
+    """Process the items that a subscription, service or client holds now, as the executor may not report them.
 
-    An item that is also reported is processed only once.
+    An item that is also reported is not processed again.
     """
     entity = reference()
     if entity is None:

@@ -151,7 +151,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     def activate(self) -> None:
         """Subscribe to the configuration of the rig, and start recording if the parameter `record` is set.
 
-        Otherwise the node only subscribes to the scans, to acknowledge them, until the service ~/start is called.
+        Otherwise the node also subscribes to the scans and acknowledges them, but records nothing until the service
+        ~/start is called.
         """
         self._failure = ""
         self._configuration, self._configured_at = None, math.inf
