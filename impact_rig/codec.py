@@ -184,8 +184,9 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
             scan.
 
     Raises:
-        CodecError: a column is missing, has a type that cannot be widened to that of the topic, or contains a value
-            that the topic does not allow; the message names topic, column, value and the allowed values.
+        CodecError: a column without a default is missing, or a column has a type that cannot be widened to that of the
+            topic, or contains a value that the topic does not allow. The message names topic, column, value and the
+            allowed values.
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)

@@ -185,7 +185,8 @@ FRF = Analysis(
     lambda instead: instead.add_argument(
         "--frf",
         action="store_true",
-        help="frequency response x_1/x_b (structure/base) of a run driven by a chirp or noise: H1, H2, Hv, coherence",
+        help="frequency response x_1/x_b (displacement of structure/base) of a run driven by a chirp or noise: H1, H2, "
+        "Hv, coherence; a sine drive gives one line only",
     ),
     "impact_rig.cli.analyze:run_frf",
 )
@@ -196,7 +197,8 @@ SINE = Analysis(
     lambda instead: instead.add_argument(
         "--sine",
         action="store_true",
-        help="a sine of the drive frequency, fitted to each channel in the last settled measurement, and DT from it",
+        help="a sine of the drive frequency, fitted to each channel in the last settled measurement (without one, at "
+        "the end of the run), and DT from it",
     ),
     "impact_rig.cli.analyze:run_sine",
 )
@@ -245,7 +247,7 @@ def add_replay(commands: Commands) -> None:
         default=[],
         metavar="NODE",
         help="nodes that acknowledge each block; the replay runs at most 16 blocks ahead of the slowest, so that they "
-        "lose none; required by --rate max",
+        "lose none, and fails if one acknowledges nothing for 10 s; required by --rate max",
     )
     parser.add_argument(
         "--topics",
@@ -254,7 +256,9 @@ def add_replay(commands: Commands) -> None:
         metavar="TOPIC",
         help="topics to publish, with or without namespace; with --peers, daq/scan must be one of them (default: all)",
     )
-    parser.add_argument("--loop", action="store_true", help="replay the run again and again, until Ctrl-C")
+    parser.add_argument(
+        "--loop", action="store_true", help="replay the run, with the same stamps, again and again until Ctrl-C"
+    )
     parser.add_argument(
         "--paused", action="store_true", help="start paused, until the service /player/pause is called with data: false"
     )

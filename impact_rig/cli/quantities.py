@@ -137,7 +137,7 @@ def add_field(
         parser: parser of a command.
         field: the field, made by `config.fields`.
         metavar: placeholder of its value; None if it is one of several words.
-        option: name of the option (default: that of the field).
+        option: name of the option, with its dashes (default: that of the field).
     """
     about = fields.info(field)
     default: Any = field.default

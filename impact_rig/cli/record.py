@@ -88,8 +88,8 @@ def run_record(arguments: argparse.Namespace) -> int:
 def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     """Return the configuration of the rig to start, and its gap [m], 0 without a sphere.
 
-    A frequency or current that is not given is set to its default in `arguments`. A running rig keeps its configuration
-    and what is not given of its drive, so nothing is set for it, and the returned values have no meaning.
+    A frequency or current that is not given is set to its default in `arguments`. For a running rig, nothing is set: it
+    keeps its configuration, and a frequency or current that is not given. The returned values then have no meaning.
 
     Raises:
         ConfigError: an option does not apply to a running rig, or the drive of the configuration is not a sine of

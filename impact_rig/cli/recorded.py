@@ -32,6 +32,9 @@ def run_info(arguments: argparse.Namespace) -> int:
     """Run `impact-rig info`: print the contents of a run, and whether it is complete.
 
     Return exit code 1 if the run is damaged or incomplete, else 0.
+
+    Raises:
+        RecordingError: the run cannot be read; the exit code of the program is then 1, too.
     """
     found = info(arguments.path)
     if arguments.json:
@@ -89,7 +92,7 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 def run_verify(arguments: argparse.Namespace) -> int:
     """Run `impact-rig verify`: simulate a run again from its journal, and print whether every bit is the same.
 
-    Return exit code 1 if a bit of a recorded topic of the rig differs, else 0.
+    Return exit code 1 if a bit of a recorded topic of the rig differs or the run is not verifiable, else 0.
 
     Raises:
         RecordingError: the run cannot be read or verified.
@@ -118,7 +121,7 @@ LISTED = 20  # largest number of damaged places that are listed
 def run_recover(arguments: argparse.Namespace) -> int:
     """Run `impact-rig recover`: save the intact parts of a run as a new run, and print what is missing.
 
-    Return exit code `INCOMPLETE` if something of the run is damaged or missing, else 0.
+    Return exit code 3 (`INCOMPLETE`) if something of the run is damaged or missing, else 0.
     """
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:

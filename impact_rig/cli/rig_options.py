@@ -62,7 +62,7 @@ def refuse_for_running(arguments: argparse.Namespace, *names: str) -> None:
         if getattr(arguments, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} applies only to a rig that this command starts; a running rig keeps its "
-                "configuration"
+                "configuration: omit this option, or --through running"
             )
 
 
@@ -83,6 +83,10 @@ def open_rig(
         required: configuration values that a running rig must have; with other values it is rejected.
         analysis: parameters of an analysis to start together with the rig; None means no analysis. Not used for a
             running rig.
+
+    Raises:
+        ConfigError: a running rig has other values than `required`, or an option or value is invalid.
+        GoneError, TimeoutError: a node ended before it was ready, or was not ready in time.
     """
     namespace = running_namespace(arguments)
     if arguments.through == PROCESS:

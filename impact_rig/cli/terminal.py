@@ -141,7 +141,7 @@ class Steps:
         self._what, self._total, self._shown = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line with the number of finished items and a state; of many calls, only 50 to 100 print one."""
+        """Print a line with the number of finished items and a state; of many items, only 50 to 100 get a line."""
         every = max(1, self._total // LINES)
         if done // every > self._shown // every or done == self._total > self._shown:
             self._shown = done

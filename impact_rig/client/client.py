@@ -67,7 +67,8 @@ class Received:
         sequence: DDS publication sequence number; each publisher numbers its messages without gaps.
         received_system_ns: system time at which the callback ran [ns since 1970]; comparable with stamps of a rig in
             real time.
-        table: decoded table; None on a topic without tables, and on a topic of `listen`.
+        table: decoded table; None on a topic without tables, and on a topic of `listen`, whose tables are decoded only
+            by `Collector.tables`.
     """
 
     data: Any
@@ -83,7 +84,7 @@ class Collector:
 
     Args:
         topic: the topic.
-        on_message: called after each message that is kept.
+        on_message: called with each message that is kept, as `Received`.
     """
 
     def __init__(self, topic: Topic, on_message: Callable[[Received], None] | None = None) -> None:
@@ -135,7 +136,7 @@ class Collector:
     def rows(self) -> NDArray[np.void]:
         """Return the rows of all tables received, one after the other; shape (n,), with n = 0 before the first.
 
-        Before the first table on a topic of `listen`, whose columns are unknown, it raises an AssertionError.
+        On a topic of `listen`, the columns are unknown before the first table: it then raises an AssertionError.
         """
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
@@ -163,7 +164,10 @@ HISTORY_S = 1.0  # a client that has just discovered a rig receives its latched 
 
 
 class WaitTimeoutError(ImpactRigError, TimeoutError):
-    """Timeout of a wait: the condition did not become true in time; the message names what was awaited."""
+    """Timeout of a wait: the condition did not become true in time; also a `TimeoutError`.
+
+    The message names what was awaited.
+    """
 
 
 Check = Callable[[], None]  # raises an error if the wait has become pointless
@@ -228,7 +232,7 @@ class AddressedActivation:
         self._is_there, self._is_gone = True, False
 
     def _identify(self) -> None:
-        """Address the activation of before `changed` again if it, and no other one, has reported since."""
+        """Address the previous activation again if it alone has reported since `changed`: no new one has started."""
         if not self._first and not self._is_changing and self._reported_at >= self._changed_at:
             self._instance = self._first = self._previous
 
@@ -431,8 +435,8 @@ class Client:
         Args:
             what: what the rig was asked to do, for the message.
             rig: node name of the rig, relative to the namespace.
-            may_be_silent: whether the rig may be busy for seconds without a report, as when it compiles a new contact
-                law.
+            may_be_silent: whether the rig may be busy without a report until the wait ends, as when it compiles a new
+                contact law.
         """
         activation = self._rigs.setdefault(rig, AddressedActivation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
@@ -522,8 +526,8 @@ class Client:
     def acknowledge_callbacks(self, node: Any) -> int:
         """Acknowledge every block of daq/scan on behalf of a hosted node, once its callback has returned or raised.
 
-        A node with several subscriptions to it acknowledges after each callback. The node itself needs no knowledge of
-        daq/ack.
+        A node with several subscriptions to it acknowledges after each callback, so the rig does not wait for the
+        second one. The node itself needs no knowledge of daq/ack.
 
         Args:
             node: a node from `host`.
@@ -547,7 +551,7 @@ class Client:
 
         Args:
             frequency_hz: new frequency [Hz]; None leaves it unchanged, but then `current_a` must be given.
-            current_a: new amplitude: A peak, but A rms for a random drive, m or V by `drive.kind`. None leaves it
+            current_a: new amplitude, peak, or rms for a random drive; in A, m or V by `drive.kind`. None leaves it
                 unchanged.
             timeout_s: time limit for each step of the exchange with the rig [s].
 
@@ -580,7 +584,7 @@ class Client:
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:
-        """Return a function that returns "" until the rig rejects a further input, and then the rig's message.
+        """Return a function that returns "" until the rig rejects an input after this call, and then its message.
 
         A rig reports rejections in its diagnostics, within a second, without naming the sender. Rejected inputs of
         other senders therefore count, too.
@@ -620,7 +624,7 @@ class Client:
             topic: entry of `impact_rig.topics`.
             message: the message, or its CDR bytes.
             timeout_s: longest wait for the subscribers [s].
-            listener: name of a node that must be among them; None means that one subscriber, of any node, suffices.
+            listener: name of a node that must be among them; None for any. There must be at least one subscriber.
             check: raises an error if the wait has become pointless, see `given`.
 
         Raises:
@@ -637,7 +641,7 @@ class Client:
             text: the remark.
 
         Raises:
-            TimeoutError: no node, such as a recorder, subscribed to `notes` in time.
+            TimeoutError: no node, such as a recorder, subscribed to `notes` within 10 s.
         """
         self.publish(topics.NOTES, String(data=text))
 
@@ -666,7 +670,8 @@ class Client:
     def pause(self, paused: bool = True) -> None:
         """Pause the rig, or resume it.
 
-        A pause returns when every peer has processed all published blocks, or is silent.
+        A pause returns when every peer has acknowledged all published blocks, or is silent: it has acknowledged none
+        for `time.peer_timeout_s`.
 
         Args:
             paused: whether to pause; False resumes.
@@ -674,6 +679,7 @@ class Client:
         Raises:
             ImpactRigError: the rig did not pause or resume; the message says why.
             TimeoutError: the rig did not answer within 10 s.
+            GoneError: the rig is gone.
         """
         _succeeded("rig/pause", self.call(SetBool, "rig/pause", SetBool.Request(data=paused), repeatable=True))
 
@@ -691,6 +697,7 @@ class Client:
         Raises:
             ImpactRigError: the service answered `success = False`; the message has its name and its reason.
             TimeoutError: the service did not appear or did not answer in time.
+            GoneError: the rig that offers the service is gone.
         """
         return _succeeded(name, self.call(Trigger, name, Trigger.Request(), timeout_s, may_be_silent=may_be_silent))
 
@@ -777,13 +784,13 @@ class Client:
             Values by name.
 
         Raises:
-            ConfigError: the node lacks one of these parameters.
+            ConfigError: the node lacks at least one of these parameters; ROS 2 does not report which.
             TimeoutError: the node did not answer in time.
         """
         request = GetParameters.Request(names=list(names))
         response = self.call(GetParameters, f"{node}/get_parameters", request)
         if len(response.values) != len(names):  # ROS then answers without any value
-            raise ConfigError(f"{node} lacks one of the parameters {', '.join(names)}")
+            raise ConfigError(f"{node} lacks at least one of the parameters {', '.join(names)}")
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:
@@ -842,7 +849,7 @@ class Client:
         Args:
             name: topic name as in docs/reference/interface.md, such as `daq/scan`.
             acknowledge: whether to acknowledge every message on daq/ack; necessary for daq/scan if this client is a
-                peer of the rig.
+                peer of the rig, listed in its parameter `time.peers`.
             timeout_s: time limit for the publisher to appear [s].
 
         Returns:
@@ -925,7 +932,7 @@ class Client:
         return self.node.create_subscription(kind, topic.name, with_info(callback), profile, raw=raw)
 
     def _reach(self, publisher: Any, topic: topics.Topic, timeout_s: float, listener: str | None, check: Check) -> None:
-        """Wait until a publisher is connected with the subscribers of its topic, including the node `listener`.
+        """Wait until a publisher is connected with the subscribers of its topic, as `has_subscribers` defines it.
 
         `publish` describes the arguments and errors. A publisher that was connected once is not checked again, not even
         for another `listener`.
@@ -1003,13 +1010,13 @@ def ros_parameters(values: Mapping[str, ParameterValue]) -> list[Parameter]:
 
 
 def subscribers(node: Node, topic: str) -> set[str]:
-    """Return the names of the nodes that subscribe to a topic, as known to `node`."""
+    """Return the names, without namespace, of the nodes that subscribe to a topic, as known to `node`."""
     full_name = node.resolve_topic_name(topic)
     return {info.node_name for info in node.get_subscriptions_info_by_topic(full_name)}
 
 
 def has_subscribers(node: Node, publisher: Any, listener: str | None) -> bool:
-    """Return whether a publisher is matched with at least one subscriber, and with all that the ROS graph lists.
+    """Return whether a publisher is connected with every subscriber that the ROS graph lists, at least one.
 
     Args:
         node: node of the publisher.

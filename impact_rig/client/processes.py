@@ -271,11 +271,11 @@ def domain_of_environment() -> int:
 
 @contextmanager
 def isolated_domain() -> Iterator[int]:
-    """Reserve a ROS domain until the end of the `with` statement, and yield its id: no other program's node uses it.
+    """Reserve a ROS domain that is not in use until the end of the `with` statement, and yield its id.
 
-    Two programs never get the same id, because each locks a file while it uses one. A domain in which any process of
-    this machine takes part is skipped. Within the statement, discovery of this process and its children is limited to
-    this machine.
+    Two programs never get the same id from here, because each locks a file while it uses one. A domain in which any
+    process of this machine takes part is skipped; a program that selects it later by ROS_DOMAIN_ID is not kept out.
+    Within the statement, discovery of this process and its children is limited to this machine.
 
     Raises:
         ImpactRigError: all ids are in use, or no lock file can be created.
@@ -312,9 +312,9 @@ def isolated_domain() -> Iterator[int]:
                 os.environ[DISCOVERY_VARIABLE] = before
         return
     raise ImpactRigError(
-        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: a running program uses each, or its lock "
-        f"file in {files.lock_directory() / FOLDER} cannot be opened; end other programs with ROS nodes (ROS_DOMAIN_ID "
-        "has no effect here)"
+        f"no free ROS domain id between {FIRST_DOMAIN} and {LAST_DOMAIN}: each is used by a running program, or its "
+        f"lock file in {files.lock_directory() / FOLDER} cannot be opened; end other programs with ROS nodes "
+        "(ROS_DOMAIN_ID has no effect here)"
     )
 
 

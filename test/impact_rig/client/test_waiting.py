@@ -212,5 +212,5 @@ def test_an_empty_list_parameter_is_sent_as_an_empty_list() -> None:
             assert client.get_parameters("rig", [name]) != {name: [""]}
             client.set_parameters("rig", {name: lines})
             assert client.get_parameters("rig", [name]) == {name: [""]}
-        with pytest.raises(ConfigError, match=r"rig lacks one of the parameters barriers.gap_m, barriers.gap$"):
+        with pytest.raises(ConfigError, match=r"lacks at least one of the parameters barriers.gap_m, barriers.gap$"):
             client.get_parameters("rig", ["barriers.gap_m", "barriers.gap"])

@@ -137,5 +137,5 @@ def test_a_domain_that_a_process_uses_is_skipped(monkeypatch) -> None:
             participant.bind(("127.0.0.1", processes.FIRST_PORT + processes.PORTS_PER_DOMAIN * taken + 10))
         monkeypatch.setattr(processes, "LAST_DOMAIN", taken)
         assert processes.is_in_use(taken)
-        with pytest.raises(ImpactRigError, match="a running program uses each"), processes.isolated_domain():
+        with pytest.raises(ImpactRigError, match="used by a running program"), processes.isolated_domain():
             pass
