@@ -204,7 +204,7 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
-        raise ConfigError(f"--currents must be > 0 A and each above the one before, got {' '.join(map(str, currents))}")
+        raise ConfigError(f"--currents must be > 0 A and strictly ascending, got {' '.join(map(str, currents))}")
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:

@@ -285,7 +285,7 @@ def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArra
 def _without_holes(times: Real, rate: float, digit: float) -> float:
     """Return the scan rate [Hz] of the longest stretch of times [s] without a missing scan; `rate` is a first guess.
 
-    `digit` is the last digit of the written times [s], 0 if they are exact.
+    `digit` is the value of the last digit with which the times are written [s], 0 if most steps are equal.
     """
     holes = np.flatnonzero(np.diff(times) > (1.5 + digit * rate) / rate) + 1
     cuts = [0, *holes.tolist(), len(times)]
