@@ -280,7 +280,9 @@ class Chain:
             )
         if fault.channel and fault.channel not in self._names:
             present = ", ".join(self._names)
-            raise CommandError(f"{fault.kind} needs a channel that is present, {fault.channel} is not: use {present}")
+            raise CommandError(
+                f"{fault.kind} needs a channel that is present, but {fault.channel} is not; use {present}"
+            )
         return self._faults.add(fault)
 
     def clear(self, number: int | None = None) -> None:
@@ -311,8 +313,8 @@ class Chain:
     def clock_ppm(self, tick: int) -> float:
         """Return by how much clock_drift faults slow the scan clock at the start of a tick [ppm], 0 if none acts.
 
-        `tick` counts from 0 since the reset. In the time of the motion, a tick of 10 ms on that clock takes longer by
-        this part.
+        `tick` counts from 0 since the reset. A tick of 10 ms on that clock lasts 10 ms · (1 + ppm · 10⁻⁶) in the time
+        of the motion.
         """
         return self._faults.clock_ppm(-(-tick * COMMAND_GRID_NS * self._clock.rate_hz // NS_PER_S))
 
@@ -399,7 +401,8 @@ class Chain:
     def _newest(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], int, float | None]:
         """Return a channel's values that are not finished, flags of clipped ones, first scan, and the last reading.
 
-        The last reading is the finished one before these values, None at the start.
+        Values and flags are views into the buffers: volts, which `digitise` turns into finished readings in place, or
+        readings of ideal instruments. The last reading is the finished one before these values, None at the start.
         """
         row = self._channels[channel]
         part = slice(int(row["finished"]), int(row["filled"]))

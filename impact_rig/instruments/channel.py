@@ -217,7 +217,8 @@ def respond(
         clock: the scan clock.
         pieces: the pieces into which these ticks of the motion are cut.
         coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
-        kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces or 0).
+        kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces), or
+            (channels, 0) without jumps.
         buffers: buffers with room for the conversions.
     """
     for j in range(channels.shape[0]):
@@ -337,9 +338,9 @@ class Sine:
 def _sine(
     tick: Integers, offset: Reals, tick_s: float, anchor_s: float, omega: float, amplitude: float, values: Reals
 ) -> None:
-    """Fill in a sine at instants (tick, `offset` [s]).
+    """Fill `values` with a sine of angular frequency `omega` [rad/s] at instants (tick, `offset` into it [s]).
 
-    Ticks are counted from one at whose start the sine had been on for `anchor_s` [s].
+    At the start of tick 0, the sine has been on for `anchor_s` seconds.
     """
     for i in range(values.shape[0]):
         sine, _ = sincos(omega * (anchor_s + (tick[i] * tick_s + offset[i])))

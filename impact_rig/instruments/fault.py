@@ -257,7 +257,7 @@ class FaultBoard:
         return self._last_number
 
     def numbers(self) -> tuple[int, ...]:
-        """Return the numbers of the faults that are stored: those that act or will act, and some that have ended."""
+        """Return the numbers of the stored faults: those that act or will act, and others until `rows` forgets them."""
         return tuple(active.number for active in self._faults)
 
     def clear(self, number: int | None, scan: int) -> None:
@@ -282,7 +282,7 @@ class FaultBoard:
     def channels(self) -> set[str]:
         """Return the names of the channels of all faults that are stored; "" stands for faults of the whole board.
 
-        These are the faults that act or will act, and some that have ended.
+        These are the faults that act or will act, and ended ones until `rows` forgets them.
         """
         return {active.fault.channel for active in self._faults}
 

@@ -43,7 +43,11 @@ class PiecewiseMotion(Protocol):
 
     @property
     def impacts(self) -> NDArray[np.void]:
-        """Contacts, with fields tick, offset [s], wall (−1 left, +1 right), impulse [N s] and duration [s]."""
+        """Contacts, with fields tick, offset [s], wall, impulse [N s] and duration [s], that have ended in the motion.
+
+        `tick` and `offset` are those of the begin of the contact. `wall` is −1 for left, +1 for right. `impulse` is
+        positive, and `duration` is 0 for an instantaneous impact.
+        """
 
     def quantities(
         self, names: tuple[str, ...], tick: NDArray[np.int64], offset_s: NDArray[np.float64]
@@ -112,7 +116,7 @@ def cut(
 
     Args:
         breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.
-        motion_tick: number of the first tick in the motion.
+        motion_tick: number of the first of these ticks, as the motion counts its ticks.
         ticks: number of ticks.
         limits: intervals between breakpoints are cut into equal parts of at most `longest_s`; short neighbours are
             joined while their total length is at most `joined_s`.

@@ -165,7 +165,8 @@ def through_piece(
 
     Args:
         modes: modes of one channel.
-        coefficients: coefficients of the polynomial S, the input, shape (NODES,).
+        coefficients: coefficients of the polynomial S, the input: of x^0, x^1, … with x = −1 … 1 on the piece, shape
+            (NODES,).
         length: length of the piece [s].
         first_and_spacing: time from the start of the piece to its first conversion, and between conversions [s].
         scratch: scratch memory, shape (3, SERIES_TERMS).
@@ -225,8 +226,8 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
     """Add a mode's free response to the outputs at a piece's conversions, until it is lost in the rounding.
 
-    `largest` is the magnitude of the output without free responses. Nothing is added if the free response is lost in
-    its rounding from the start.
+    `largest` is the magnitude of the output without free responses. Nothing is added if the free response is smaller
+    than the rounding error of `largest` from the start.
     """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

@@ -39,9 +39,9 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the attributes of the section `instruments`: the first of `own`, one per registered instrument, the rest.
+    """Return the attributes of the section `instruments`: `own`, with one per registered instrument after the first.
 
-    attrs calls this while it makes the class `Instruments`.
+    attrs calls this while it makes the class `Instruments`, so later registrations have no effect.
     """
     fields = {name: attrs.field(factory=kind, type=kind) for name, kind in INSTRUMENTS.items()}
     return [own[0], *attrs.fields(attrs.make_class("_", fields, kw_only=True)), *own[1:]]
@@ -71,7 +71,7 @@ class Instruments:
             if fault.channel not in fitted:
                 present = ", ".join(sorted(fitted - {""}))
                 raise ConfigError(
-                    f"faults.planned: {fault.kind} needs a channel that is present, {fault.channel} is not: "
+                    f"faults.planned: {fault.kind} needs a channel that is present, but {fault.channel} is not; "
                     f"use {present}"
                 )
 

@@ -124,7 +124,10 @@ class Transfer:
 
     @with_70_digits
     def delay_s(self) -> float:
-        """Return the delay at low frequency [s], −Σ Re(1/p) over the poles p, of a low-pass without zeros."""
+        """Return the delay at low frequency [s], −Σ Re(1/p) over the poles p.
+
+        This is the delay only of a low-pass without zeros, which is not checked.
+        """
         return float(sum((-pole.real / pole.square() for pole in self.poles), ZERO))
 
     def modes(self) -> SensorModes:

@@ -313,7 +313,7 @@ def codes(kind: Any) -> str:
 def records(count: int, kind: np.dtype[np.void]) -> Any:
     """Return `count` records of zeros for kernels; `records[i].field` reads and writes in place.
 
-    Plain Python needs a recarray for that. Compiled code accepts an ordinary array as well, which is passed in a third
+    Plain Python needs a recarray for that. Compiled code also accepts an ordinary array, and passing that takes a third
     of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
     """
     assert _has_free_names(kind)
