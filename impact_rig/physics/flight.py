@@ -305,8 +305,8 @@ def begin_flight(system: Record, f: DriveSegment, flight: Record, y: Reals, t: f
 def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: int) -> None:
     """Fill `flight.x_1[order:order + 3]` with the derivatives of x_1 of these three orders at t; order 0 is x_1 itself.
 
-    Also set `flight.bound` to a bound on the next higher derivative, valid from t to the end of the segment. The search
-    for the next event uses both.
+    Also set `flight.bound` to a bound on the derivative of order `order` + 3, valid from t to the end of the segment.
+    The search for the next event uses both.
     """
     since, wave = t - flight.t_b, flight.wave
     rotor = phasor(f.omega * t)
@@ -378,8 +378,8 @@ def fly(p: Record, system: Record, f: DriveSegment, flight: Record, s: Record, t
     """Advance a flight with a loose sphere from the state s to its first event or to `t_end`, and move s there.
 
     Returns TOUCHED, STOPPED or PAUSED. TOUCHED: the sphere touches the wall `s.side`; their distance is zero within
-    rounding, and `event_loop` sets it to zero exactly. STOPPED: friction has brought the sphere to rest on its guide,
-    which moves with the superior base. PAUSED: `t_end` is reached, in seconds since the start of the segment. Without
+    rounding, and `event_loop` sets it to zero exactly. STOPPED: friction has brought the sphere to rest relative to the
+    superior base, on which its guide is. PAUSED: `t_end` is reached, in seconds since the start of the segment. Without
     a sphere the result is always PAUSED.
     """
     braking, x_1 = -s.slide * p.friction_acceleration, flight.x_1

@@ -206,7 +206,10 @@ def modes(matrix: NDArray[np.float64]) -> Modes:
         ConfigError: the matrix is not finite, or has no usable modes because masses or stiffnesses are too far apart.
     """
     if not np.all(np.isfinite(matrix)):
-        raise ConfigError("structure and shaker have no modes: a mass, stiffness or damping is too large or too small")
+        raise ConfigError(
+            "structure and shaker have no modes, because a mass, stiffness or damping is too large or too small: "
+            "correct the values in the sections structure, shaker and sphere"
+        )
     for attempt in range(3):
         nudged = matrix.copy()
         for i in range(len(nudged)):
@@ -214,7 +217,10 @@ def modes(matrix: NDArray[np.float64]) -> Modes:
         found = _refined(nudged)
         if found is not None:
             return found
-    raise ConfigError("structure and shaker have no separable modes: masses, stiffnesses or dampings are too far apart")
+    raise ConfigError(
+        "structure and shaker have no separable modes, because masses, stiffnesses or dampings are too far apart: "
+        "correct the values in the sections structure, shaker and sphere"
+    )
 
 
 def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -225,7 +231,10 @@ def static_answer(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDA
     """
     answer = _rest(matrix, load)
     if answer is None or not np.all(np.isfinite(answer)):
-        raise ConfigError("structure and shaker have no position of rest: a stiffness is too large or too small")
+        raise ConfigError(
+            "structure and shaker have no position of rest, because a stiffness or mass is too large or too small: "
+            "correct the values in the sections structure, shaker and sphere"
+        )
     return answer
 
 
@@ -242,8 +251,8 @@ def _rest(matrix: NDArray[np.float64], load: NDArray[np.float64]) -> NDArray[np.
 def _refined(matrix: NDArray[np.float64]) -> Modes | None:
     """Return the modes of a real matrix, computed with 70 digits, or None if they cannot be separated.
 
-    That is so if two eigenvalues coincide, if they are not found, or if the parts of a motion in the modes would be
-    more than `_WORST_CONDITION` times as large as the motion.
+    That is so if two eigenvalues coincide or are not found, or if a motion would be the sum of modes that cancel each
+    other: each more than `_WORST_CONDITION` times as large as the motion.
     """
     polynomial, adjugate = resolvent(_exactly(matrix))
     scale = _balance(matrix)

@@ -60,7 +60,7 @@ def transmissibility(config: MechanicsSetup, frequency_hz: NDArray[np.float64] |
 def base_per_ampere(config: MechanicsSetup, frequency_hz: NDArray[np.float64] | float) -> NDArray[np.complex128]:
     """Return the complex displacement X_b of the inferior base per ampere of coil current, without the sphere [m/A].
 
-    X_b = K_f I / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T], with T = X_1 / X_b from `transmissibility`: the structure
+    X_b / I = K_f / [k_f − (m_a + m_b) ω² + iωc_f − m_1 ω² T], with T = X_1 / X_b from `transmissibility`: the structure
     acts back on the base with the force m_1 ω² X_1. The result has the shape of `frequency_hz`.
     """
     c = constants(config)

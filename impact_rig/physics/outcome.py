@@ -147,8 +147,12 @@ def perturbed_contact(
 class Contacts:
     """Source of integrated contacts of one law in dimensionless units, from which the table of the law is computed.
 
+    The docstring of this module defines η_0, which stands for the acceleration at the touch, and the perturbations η_1,
+    η_2, α and γ.
+
     Args:
-        parameters: one record of PARAMETERS with the numbers of the law, but stiffness and masses 1; it is modified.
+        parameters: one record of PARAMETERS with the constants of the law, except that stiffness and masses are 1; it
+            is modified.
         law: the contact law's compiled force.
     """
 
@@ -198,7 +202,8 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
     no tried range suffices, `high` is 0, and every contact of the law is integrated.
 
     Args:
-        parameters: one record of PARAMETERS with the numbers of the law, but stiffness and masses 1; it is modified.
+        parameters: one record of PARAMETERS with the constants of the law, except that stiffness and masses are 1; it
+            is modified.
         law: the contact law's compiled force.
     """
     table, contacts = record(TABLE), Contacts(parameters, law)
@@ -220,9 +225,9 @@ def tabulate(parameters: Any, law: CompiledForce) -> Any:
 def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float64] | None:
     """Return the Chebyshev series of outcomes and their derivatives over a range of η_0; None if they do not suffice.
 
-    They suffice if the sphere leaves the wall in every integrated contact, and the last coefficients of the DECISIVE
-    outcomes are negligible. The shape is (COEFFICIENTS, SERIES_COUNT). The series of derivatives have fewer terms and
-    are computed from fewer contacts.
+    The caller then tries a narrower range. The series suffice if the sphere leaves the wall in every integrated
+    contact, and the last coefficients of the DECISIVE outcomes are negligible. The shape is (COEFFICIENTS,
+    SERIES_COUNT). The series of derivatives have fewer terms and are computed from fewer contacts.
     """
     series = np.zeros((COEFFICIENTS, SERIES_COUNT))
 

@@ -127,9 +127,10 @@ class Trajectory(NamedTuple):
     Attributes:
         segments: records of SEGMENT: the drive.
         first_tick: number of the first tick, counted since the reset.
-        first_segment: for each tick the index of its first segment; last, the number of segments.
+        first_segment: for each tick the index of its first segment, and at the end the number of segments.
         history: records of STATE; the last one is the state after all segments.
-        first_state: for each segment the row of `history` with its first state; last, the row of the last record.
+        first_state: for each segment the row of `history` with its first state, and at the end the row of the last
+            record.
     """
 
     segments: NDArray[np.void]
@@ -293,8 +294,8 @@ def _add_series(
 ) -> None:
     """Add to `poly` the Taylor series in x = τ / half of Re[(value + growth τ) exp(λ τ)], differentiated `order` times.
 
-    λ is `rate`, and τ the time since the instant about which the series is expanded. The first `terms` numbers of
-    `workspace.powers` are used, which must have been filled in for the same λ and `half`.
+    The derivatives are by τ. λ is `rate`, and τ the time since the instant about which the series is expanded. The
+    first `terms` numbers of `workspace.powers` are used, which must have been filled in for the same λ and `half`.
     """
     for _ in range(order):
         value, growth = rate * value + growth, rate * growth
@@ -318,7 +319,8 @@ def _expand_flight(
 ) -> None:
     """Fill `poly` with a quantity's Taylor polynomial about the instant `since` seconds after the flight's start.
 
-    The quantity must be a motion of the structure, or the drive itself.
+    The variable of the polynomial is the time after this instant [s]. The quantity must be a motion of the structure,
+    or the drive itself.
     """
     poly[:] = 0.0
     t = flight.t_b + since
@@ -350,7 +352,7 @@ def _is_of_structure(p: Record, quantity: int) -> bool:
 
 @kernel
 def _structure_quantity(s: Record, quantity: int) -> int:
-    """Return the quantity from whose Taylor polynomial a given quantity is computed in the flight from s.
+    """Return the quantity whose Taylor polynomial is needed to compute a given quantity in the flight from s.
 
     While the sphere is ATTACHED, its motion and the force of a wall follow from the motion of the superior base. In all
     other cases it is the given quantity itself.
@@ -604,7 +606,7 @@ def _sample_flight(
 def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int, int]:
     """Return (row of the segment, row of the state, row after the segment's last state) for an instant.
 
-    The instant lies in this drive segment, and the motion at the instant continues from this state of the history.
+    The instant lies in the drive segment of the first row, and in the motion that the state of the second row begins.
     `tick` counts from the first tick of the trajectory, and `offset` is the time since the start of the tick [s].
     """
     segment, end_segment = trajectory.first_segment[tick], trajectory.first_segment[tick + 1]
@@ -801,10 +803,11 @@ def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingW
 
     If not, the pieces from the first one outside the trajectory on are not filled in.
 
-    The error depends on the piece. In flight, pieces of up to 2 radians of the fastest motion on either side of their
-    middle leave out 2^14 / 14! = 2e-7 of this motion, and their shortening to eight terms 2 / 8! = 5e-5. Longer pieces
-    are fitted through samples. In a step of a contact, about a millionth is left out. In a tabulated contact the
-    polynomial misses the force by up to a thousandth of its peak.
+    The error depends on the piece. In flight, it is a part of the fastest motion. A piece of up to 2 radians of this
+    motion on either side of its middle loses 2^14 / 14! = 2e-7 at the end of the Taylor polynomial, and 2 / 8! = 5e-5
+    where this is shortened to eight terms. Longer pieces are fitted through eight samples, and their error is not
+    limited. In a step of a contact the error is about a millionth. In a tabulated contact the polynomial misses the
+    force by up to a thousandth of its peak.
     """
     p, flight, history = model.parameters[0], workspace.flight[0], trajectory.history
     flight.omega, workspace.pulse_row[0] = -1.0, -1

@@ -152,8 +152,8 @@ class Motion:
     ) -> NDArray[np.float64]:
         """Return some quantities of `SAMPLE` on pieces of time between breakpoints, as polynomials of eight terms.
 
-        The variable x of a polynomial is −1 at the start of its piece and 1 at the end. `sampling.fit` describes the
-        error.
+        The variable x of a polynomial is −1 at the start of its piece and 1 at the end; its values are in SI.
+        `sampling.fit` describes the error, which is larger in a piece with a breakpoint inside.
 
         Args:
             names: names of the quantities.
@@ -299,7 +299,8 @@ class Simulation:
     def reset(self) -> None:
         """Set structure and shaker to rest at zero, the sphere to rest at `sphere.start`, and the tick to 0.
 
-        The energy account begins again. A base that `pluck` locked is released.
+        `sphere.start` is the left wall, the right wall or the centre between them. The energy account begins again. A
+        base that `pluck` locked is released.
         """
         if self.locked:
             self._model, self.locked = build(self._config, self._rtol), False
@@ -375,9 +376,9 @@ class Simulation:
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Set the state to the seven numbers that `state` returned, from which the next call of `advance` continues.
 
-        A sphere on a wall that is at rest relative to it stays there, in phase ATTACHED, until the wall moves away from
-        the sphere. With friction of the guide, a sphere at rest between the walls is ATTACHED as well, until it slips.
-        The energy account begins again if this simulation was created with `account`.
+        A sphere that is on a wall and at rest relative to it stays there, in phase ATTACHED, until the wall moves away
+        from the sphere. With friction of the guide, a sphere at rest between the walls is ATTACHED as well, until it
+        slips. The energy account begins again if this simulation was created with `account`.
         """
         *y, d, rate = state.tolist()
         self._work.states[0] = np.zeros((), STATE)
@@ -398,7 +399,7 @@ class Simulation:
 
         Raises:
             SimulationError: the motion makes no progress, a step of a contact cannot be solved, or a segment needs more
-                than `MOST_STATES` states.
+                than `MOST_STATES` states. To continue, set the state again, for example by `reset`.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:

@@ -93,8 +93,9 @@ class Buffer:
     def put(self, first: int, values: NDArray[np.float64]) -> None:
         """Store the samples from number `first` on, at most the capacity; an empty array marks the stream's end there.
 
-        If a sample with exactly the number of such an end is stored later, it cancels the end. Samples with larger
-        numbers do not, so that the order of arrival has no effect.
+        If the sample with the number of such an end arrives later, it cancels the end. Samples with larger numbers do
+        not, so the order of arrival has no effect. The caller must check that no sample has been played, or is further
+        ahead of the next one to play than the capacity.
         """
         self.ends = {end for end in self.ends if not first <= end < first + len(values)}
         if len(values) == 0:
@@ -223,7 +224,7 @@ class Stream:
         return value
 
     def _value_at(self, tick: int) -> float:
-        """Return the value of the drive at the start of `tick`, the next tick, as the samples played so far give it."""
+        """Return the value of the drive at the start of `tick`, the next tick, from the samples played so far."""
         before, last = map(float, self._recent)
         if not self._linear or self.played == 0:
             return last
@@ -296,7 +297,10 @@ class Stream:
         return self.time_ns(max(0, sample - self._linear)) // COMMAND_GRID_NS
 
     def _play(self, end: int) -> NDArray[np.float64]:
-        """Play the samples from number `played` to end − 1: return their values, with replacements for missing ones."""
+        """Play the samples from number `played` to end − 1: return their values.
+
+        Missing ones have the replacements that `_without` describes.
+        """
         parts = [np.empty(0)]
         while self.played < end:
             there = self.buffer.there(self.played, end)

@@ -265,8 +265,8 @@ def members(schema: str) -> list[tuple[str, str, int]]:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text, a member is an array or sequence of messages, is nested more
-            than 8 types deep, or follows more than 200 others.
+        RecordingError: a type is not defined in the text; or a member that is a message is in an array or sequence, is
+            nested more than 8 types deep, or follows more than 200 other members.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {
