@@ -111,7 +111,7 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the sorted names of the publishers that the graph showed on a topic, also of silent ones.
+        """Return the sorted names of all publishers of a topic in the graph so far, with or without messages.
 
         The list is empty unless messages of several publishers arrived.
         """
@@ -190,7 +190,7 @@ class Gap:
 
 @attrs.frozen
 class Contiguity:
-    """Contiguity of a sequence of blocks: number of blocks and scans, and the gaps between the blocks."""
+    """Result of `check_contiguity`: numbers of blocks and scans, and the gaps between the blocks."""
 
     blocks: int
     scans: int

@@ -192,12 +192,12 @@ class Run:
 
     @property
     def start_ns(self) -> int:
-        """Log time of the earliest message of the run [ns]; 0 without messages."""
+        """Log time [ns] of the earliest message, which is rig time in runs of this package; 0 without messages."""
         return min((s.statistics.message_start_time for s in self._with_messages()), default=0)
 
     @property
     def end_ns(self) -> int:
-        """Log time of the latest message of the run [ns]; 0 without messages."""
+        """Log time [ns] of the latest message, which is rig time in runs of this package; 0 without messages."""
         return max((s.statistics.message_end_time for s in self._with_messages()), default=0)
 
     @property
@@ -271,7 +271,7 @@ class Run:
                 without a leading slash is returned unchanged, unless the completed name was recorded as well.
 
         Raises:
-            RecordingError: there are several rigs, and none was chosen.
+            RecordingError: the name is relative, there are several rigs, and none was chosen.
         """
         text = wanted if isinstance(wanted, str) else wanted.name
         if text.startswith("/"):
@@ -301,7 +301,8 @@ class Run:
             wanted: a topic or its name; a relative name is completed with the rig's namespace.
 
         Raises:
-            RecordingError: the topic was not recorded; or there are several rigs, and none was chosen.
+            RecordingError: the topic was not recorded; or the name is relative, there are several rigs, and none was
+                chosen.
         """
         name = self.name(wanted)
         if name not in self.topics:
@@ -346,7 +347,7 @@ class Run:
             topic: a topic or its name; a relative name is completed with the rig's namespace.
 
         Raises:
-            RecordingError: there are several rigs, and none was chosen.
+            RecordingError: the name is relative, there are several rigs, and none was chosen.
         """
         return self.name(topic) in self.topics
 
@@ -354,8 +355,8 @@ class Run:
         """Yield the tables of a topic in log-time order, or in the order of recording.
 
         Args:
-            topic: a name, which yields all tables recorded under it; or an entry of `impact_rig.topics`, which also
-                checks their columns and values.
+            topic: name of the topic, absolute or relative to the rig's namespace; or an entry of `impact_rig.topics`.
+                With an entry, the columns and values of each table are checked as well.
             recorded_order: whether to yield tables in the order in which they were recorded.
 
         Yields:
@@ -545,9 +546,9 @@ class Run:
 
 @contextlib.contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Put the path of a run or file in front of the message of an error of the `with` block.
+    """Put the path of a run or file in front of the message of a BudgetError or DamageError of the `with` block.
 
-    It is a BudgetError, or a DamageError, whose message also gets the remedy.
+    The message of a DamageError also gets the remedy.
     """
     try:
         yield
@@ -602,10 +603,11 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
 
 
 def run_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a run: those that `metadata.yaml` lists; without it all, by the numbers in their names.
+    """Return the MCAP files of a run, in the order of recording.
 
-    For a directory without MCAP files, the result is its SQLite or compressed files: opening one raises an error that
-    says how to convert it. If `path` is a file, the result is this file.
+    These are the files that `metadata.yaml` lists. Without `metadata.yaml` they are all MCAP files in the directory,
+    sorted by the numbers in their names. For a directory without MCAP files, the result is its SQLite or compressed
+    files: opening one raises an error that says how to convert it. If `path` is a file, the result is this file.
 
     Raises:
         RecordingError: `path` does not exist or contains no such file, `metadata.yaml` cannot be read, or a file that
@@ -896,7 +898,7 @@ class McapSource:
         return int(records.CHUNK_HEAD.unpack_from(data, records.RECORD_HEAD.size)[-1]) if len(data) == head else 0
 
     def data_end(self) -> int:
-        """Return the offset [bytes] at which the DataEnd record must begin: it ends directly before the summary."""
+        """Return the offset [bytes] at which the DataEnd record must begin in order to end where the summary begins."""
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
         _, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)

@@ -77,7 +77,7 @@ CHUNK_OPEN_S = 0.5  # wall time after which an open chunk is closed, even if it 
 
 @attrs.define
 class _Channel:
-    """Topic of a run that is being written, with its channel id in the open file and its number of messages."""
+    """Topic of a run that is being written: its channel id in the open file, and its number of messages in the run."""
 
     topic: TopicDescription
     has_header: bool
@@ -97,13 +97,14 @@ class RunWriter:
         account: account of received and lost messages; None means a new one that does not know the publishers.
         closing: function that returns further metadata records by name, which are written at the end of a file. It is
             called once per file.
-        clock: monotonic wall clock [s]; decides when an open chunk has been open for `CHUNK_OPEN_S`.
+        clock: function that returns a monotonic time [s]. A chunk that has been open for `CHUNK_OPEN_S` is closed.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: uncompressed size above which a chunk is closed [bytes].
         max_file_bytes: size beyond which a new file is started [bytes]; 0 means one file.
-        max_file_duration_ns: duration since the first message of a file after which a new one is started; 0 means one
-            file.
-        tail: whether to keep the messages of the open chunk in a second file (`Tail`), which `secure` needs.
+        max_file_duration_ns: log time since the first message of a file after which a new one is started [ns]; 0 means
+            one file.
+        tail: whether to keep the messages of the open chunk in a second file (`Tail`); without it, `secure` has no
+            effect.
         ros_distro: name of the distribution for `metadata.yaml`.
 
     Raises:
@@ -201,7 +202,8 @@ class RunWriter:
     ) -> None:
         """Record one message, with the rig time of its reception as its log time.
 
-        Messages before the first scan wait in memory, because the scan defines their log time.
+        Messages before the first scan wait in memory, because the scan defines their log time. If no scan arrives, they
+        are written by `finish`, or as soon as too many of them wait.
 
         Args:
             topic_name: name of a registered topic.
@@ -309,7 +311,7 @@ class RunWriter:
                 self._tail.secure()
 
     def flush_due(self) -> None:
-        """Close and write the open chunk if it has been open for `CHUNK_OPEN_S`; a timer must call this every 0.25 s.
+        """Close and write the open chunk if it has been open for `CHUNK_OPEN_S` (0.5 s); call this every 0.25 s.
 
         Raises:
             RecordingError: the run had to stop.
@@ -323,9 +325,9 @@ class RunWriter:
 
         Args:
             attachment: the file.
-            instead_of: name of an earlier attachment that this one replaces in further files. If the earlier attachment
-                was itself a replacement, give the name of the attachment that was stored first. An empty name means
-                the attachment with the same name as this one.
+            instead_of: name of the earlier attachment that this one replaces in further files; the open file keeps
+                both. An empty name means the attachment with the same name as this one. After `attach(b, "a")`, the
+                attachment that replaces b must name "a" again.
 
         Raises:
             RecordingError: the run had to stop, now or earlier.
@@ -341,9 +343,9 @@ class RunWriter:
 
         Args:
             attachment: the file.
-            instead_of: name of the earlier attachment that this one replaces. If that one was itself a replacement,
-                give the name of the attachment that was stored first. An empty name means the attachment with the same
-                name as this one. If there is none of this name, the attachment is added.
+            instead_of: name of the earlier attachment that this one replaces. An empty name means the attachment with
+                the same name as this one. If there is none of this name, the attachment is added. After
+                `supersede(b, "a")`, the attachment that replaces b must name "a" again.
         """
         self._attachments[instead_of or attachment.name] = attachment
 
@@ -353,7 +355,8 @@ class RunWriter:
         A second call, or one after an error, has no effect.
 
         Raises:
-            RecordingError: index or `metadata.yaml` cannot be written; the messages on disk are intact.
+            RecordingError: the last chunk, the index or `metadata.yaml` cannot be written; the messages on disk are
+                intact.
         """
         if not self._closed:
             self._begin_without_scans()
@@ -469,9 +472,9 @@ class RunWriter:
     def stop(self, error: RecordingError) -> None:
         """End the run because of `error`, which every later call that would record something raises again.
 
-        The open MCAP file is closed without an index, so `recover` is needed for it. If an MCAP file has been finished
-        and no further one is open, `metadata.yaml` is written, so that the run can be read. `finish` has no effect
-        after this call.
+        An open MCAP file is closed without an index, so `recover` is needed for the run. If the last MCAP file is
+        already finished when the error occurs, `metadata.yaml` is written, so that the run can be read. `finish` has no
+        effect after this call.
         """
         self._failure = error
         finished = self._file.finished and not self._closed
@@ -681,7 +684,7 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Number of bytes on disk."""
+        """Number of bytes of this file on disk."""
         return self._buffer.committed
 
     def add_topic(self, topic: TopicDescription) -> int:
@@ -896,7 +899,7 @@ class Tail(McapFile):
         self._records = [definitions]  # readers trust definitions only inside a chunk, which has a checksum
 
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> bool:
-        """Keep a message until the next `secure`; return False, because no chunk is closed."""
+        """Keep a message until the next `secure`. Return False: unlike in `McapFile`, no message closes a chunk."""
         length = MESSAGE_HEAD.size - RECORD_HEAD.size + len(data)
         head = MESSAGE_HEAD.pack(MESSAGE, length, channel, sequence & SEQUENCE_MASK, log_time, publish_time)
         self._records += head, data

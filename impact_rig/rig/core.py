@@ -71,7 +71,8 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
     """Return a new function generator that starts with the frequency and amplitude of the configuration.
 
     Raises:
-        ConfigError: this amplitude exceeds the limits of the shaker, or the band of a random drive is too high.
+        ConfigError: the configured amplitude exceeds the limits of the shaker, or the upper end of a random drive's
+            band is 45 Hz or more.
     """
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
@@ -138,8 +139,8 @@ class Block:
     Attributes:
         number: number of the block since the start or reset, from 0.
         first_scan: index of its first scan since the start or reset, from 0.
-        end_ns: stamp of the first scan after the block, which is the time at which the block is complete [ns].
-        scan: table of `daq/scan`.
+        end_ns: stamp of the first scan after the block, which is the rig time at which the block is complete [ns].
+        scan: table of `daq/scan`, also if the scans are withheld.
         impacts: table of `truth/impacts`, the contacts that ended in this block; None if there were none.
         monitor_states: true motion at the instants of the monitor topics, rows of `blocks.TRUTH_SCAN`, with `time`
             since the stamp of `scan`.
@@ -163,7 +164,8 @@ class Block:
     def tables(self) -> list[tuple[topics.Topic, Table]]:
         """Return the tables of the block that exist, each with its topic: first the scans, unless they are withheld.
 
-        The others follow in the order impacts, faults, true motion. A rig over ROS publishes the scans last instead.
+        The others follow in the order impacts, faults, true motion. The rig node publishes the same tables, but the
+        scans last.
         """
         order = (topics.SCAN, topics.IMPACTS_TRUTH, topics.FAULTS, topics.TRUTH_SCAN)
         tables = (None if self.lost else self.scan, self.impacts, self.faults, self.truth)
@@ -187,12 +189,12 @@ class Rig:
 
     Raises:
         ConfigError: the initial drive of the configuration exceeds the shaker, the mechanics cannot be simulated with
-            this combination of values, or the instruments do not support this rate.
+            this combination of values, or the instruments do not support `daq.rate_hz`.
 
     Examples:
         >>> import impact_rig
         >>> rig = impact_rig.Rig(impact_rig.RigConfig())
-        >>> applied = rig.accept(frequency_hz=9.1, amplitude=0.52)
+        >>> applied = rig.accept(frequency_hz=9.1, amplitude=0.52)  # Hz, A peak
         >>> blocks = rig.advance(until_ns=10**9)
         >>> len(blocks), blocks[0].scan.rows["laser"].shape
         (100, (100,))
