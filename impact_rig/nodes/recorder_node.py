@@ -274,10 +274,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         done(not self._failure, self._failure or stopped)
 
     def _start(self, patiently: bool = False) -> None:
-        """Request a run, which is opened once the configuration of the rig has arrived: a run begins with it.
+        """Request a run, which is opened once the configuration of the rig has arrived, because a run stores it first.
 
-        If none arrives within `configuration_wait_s`, the run is opened without. This time counts from now, or, if
-        `patiently`, from when a rig publishes scans, however late that is.
+        If none arrives within `configuration_wait_s`, the run is opened without. This time counts from now; if
+        `patiently`, it counts from the first scans, and there is no limit to the wait for these.
         """
         self._failure = ""
         self._waiting = True

@@ -238,10 +238,10 @@ class Counts:
 
 
 class Session:
-    """Operation of a node's rig, from its start until the node is deactivated: commands, services, publishing and pace.
+    """Operation of the rigs of a node, one after another: commands, services, publishing and pace.
 
-    The rig starts when the node is active and no other rig is in its namespace. The session exists as long as the node;
-    each activation starts a new rig.
+    The session exists as long as the node. Each activation of the node starts a new rig, as soon as no other rig is in
+    its namespace; the rig ends when the node is deactivated.
     """
 
     publishers: Publishers  # exists from when the node is configured
@@ -487,7 +487,8 @@ class Session:
         """Detect whether this process was suspended since the last call; return the present monotonic time [s].
 
         It counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then start
-        again. After more than `EXPIRES_S` in which it was idle, `refuse_backlog` also rejects the commands sent before.
+        again. If more than `EXPIRES_S` passed, in which the process used less than a quarter of a processor,
+        `refuse_backlog` also rejects the commands sent before.
         """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()
@@ -678,7 +679,10 @@ class Session:
         _answer(self._stepping, False, message)
 
     def _refuse_without_peers(self) -> None:
-        """Answer waiting step requests with an error if a peer has not subscribed within `time.peer_timeout_s`."""
+        """Answer waiting step requests with an error if a peer has not subscribed within `time.peer_timeout_s`.
+
+        This time counts from the last request, or from when the peers were set if that is later.
+        """
         patience_s = self.node.settings.time.peer_timeout_s
         waited = time.monotonic() - self._stepped_at > patience_s
         if self._stepping and waited and self.readers.overdue(patience_s):

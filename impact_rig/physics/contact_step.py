@@ -199,7 +199,8 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
 def add_correction(p: Record, side: float, step: Record, stage: int, y: Reals) -> None:
     """Add to the structural state y the correction at one stage of a step: `side` · σ z.
 
-    It is the small motion that the indentation causes through the force of the columns.
+    It is the small motion that the indentation causes through the force of the columns. σ is the sphere's part of the
+    mass of sphere and superior base.
     """
     for q in range(STRUCTURE):
         y[q] += side * p.share * step.correction[q, stage]
@@ -340,7 +341,10 @@ def begin_step(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
 
 @kernel
 def _integrate_speeds(s: Record, step: Record, h: float) -> None:
-    """Fill w, the square root of the indentation, and the time at the stages by integrating the speeds δ' there."""
+    """Fill w, the square root of the indentation, and the time since the start of the step, at its stages.
+
+    w follows from the integral of the speeds δ' over χ, and the time from that of w; h is the step's length in χ.
+    """
     for i in range(STAGES):
         w = 0.0
         for j in range(STAGES):
@@ -355,7 +359,10 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 
 @kernel
 def _evaluate_acceleration(p: Record, step: Record) -> None:
-    """Fill in a_r, which presses sphere and wall together, at the stages, with the part due to the correction z."""
+    """Fill in a_r, the acceleration that presses sphere and wall together, at the stages.
+
+    It includes the part due to the correction z, and excludes the contact force.
+    """
     z, k_1, c_1, share_per_m_1 = step.correction, p.k_1, p.c_1, p.share * p.per_m_1
     for i in range(STAGES):
         step.acceleration_at[i] = polynomial(step.acceleration, step.since[i], step.terms)
@@ -519,8 +526,9 @@ def estimate_error(step: Record, h: float) -> float:
 
 @kernel
 def next_length(h: float, error: float) -> float:
-    """Return the length for the next step, or for another attempt at this one, after a step of length h: 0.1 h to 4 h.
+    """Return the length for the next step, or for another attempt at this one, after a step of length h.
 
-    `error` is the result of `estimate_error` for the step of length h: its error as a multiple of the allowed one.
+    It is at least 0.1 h and at most 4 h; lengths are in χ. `error` is the result of `estimate_error` for the step of
+    length h: its error as a multiple of the allowed one.
     """
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

@@ -142,7 +142,7 @@ WORKSPACE = Fields(Workspace, (STATE, FLIGHT, CONTACT_STEP, LEDGER, COUNTS, STAT
 def new_workspace(states: int, impacts: int) -> Workspace:
     """Return a workspace whose state is zero, with room for `states` rows of history and for `impacts` impacts.
 
-    The caller must replace `first_state` and `first_segment` by arrays with one element more than it has segments.
+    The caller must replace `first_state` and `first_segment` by arrays with one element more than there are segments.
     """
     return Workspace(
         records(2, STATE),
@@ -467,13 +467,15 @@ def _move_base(p: Record, f: DriveSegment, s: Record, ledger: Record, account: b
 def run(
     model: Model, segments: Records, first_tick: int, segment: int, work: Workspace, account: bool
 ) -> tuple[int, int]:
-    """Simulate the drive segments from index `segment` on; return (DONE or why it stopped, index of the last segment).
+    """Simulate the drive segments from index `segment` on; return (result, index of a segment).
 
-    The index is that of the segment in which the simulation stopped, or the number of segments after DONE. After
-    NEED_ROOM, call again with this index and a larger workspace.
-    `first_tick` is the number of the tick of `segments[0]`, counted since the reset, also if `segment` is not 0.
+    The result is DONE, NEED_ROOM, STUCK or UNSOLVED, see `DONE`. The index is that of the segment in which the
+    simulation stopped, or the number of segments after DONE. After NEED_ROOM, call again with this index and a larger
+    workspace. `first_tick` is the number of the tick of `segments[0]`, counted since the reset, also if `segment` is
+    not 0.
 
-    Work, and losses outside the contacts, are computed only if `account` is true; this costs as much as the flights.
+    Work, and losses outside the contacts, are computed only if `account` is true; this takes as much processor time as
+    the flights themselves.
     """
     s = work.states[0]
     work.flight[0].omega = -1.0

@@ -90,7 +90,7 @@ SEGMENT = np.dtype(
 class DriveSegment(NamedTuple):
     """One segment of the drive, u(t) = (amplitude + growth t) sin(omega t + phase), in the form of kernels' arguments.
 
-    t counts from the start of the segment, and `begin` is that start since the start of its tick [s].
+    t counts from the start of the segment, and `begin` is the time from the start of the tick to that start [s].
     """
 
     omega: float
@@ -166,7 +166,8 @@ def frequency_response(system: Record, omega: float, flight: Record) -> None:
     """Fill `flight.answer` (H) and `flight.growth_answer` (G) at the angular frequency `omega` [rad/s].
 
     H is the complex amplitude of the structural state y per unit of a drive of constant amplitude. G is what a growing
-    amplitude adds to the amplitude of y, per unit of the growth rate B: P = A e^{jφ} H + B e^{jφ} G.
+    amplitude adds to it, per unit of the growth rate B. With A and φ, amplitude and phase of the drive at the start of
+    the segment, the amplitude of y there is P = A e^{jφ} H + B e^{jφ} G.
     """
     n = system.states
     vector = flight.steady  # scratch: `particular` overwrites it
@@ -192,7 +193,7 @@ def particular(system: Record, f: DriveSegment, flight: Record) -> None:
 
 @kernel
 def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: float, longest: float) -> float:
-    """Return a time, at most `longest` [s], within which a point certainly does not cover `distance` [m, >= 0].
+    """Return a time [s], at most `longest`, before which a point certainly has not covered `distance` [m, >= 0].
 
     The docstring of this module explains the method. `speed` and `acceleration` are the present ones towards the
     target, and `jerk_bound` is a limit of the jerk in either direction during this time.

@@ -90,7 +90,7 @@ def from_config(contact: Contact) -> ContactLaw:
     """Return the contact law that the section `contact` of a configuration selects, with its settings.
 
     With `calibration: exact`, an adjustable law is replaced by the law `exact`, whose damping factor makes the realised
-    restitution equal to the configured e.
+    restitution equal to the configured e. Any other law stays as it is.
     """
     named = LAWS[contact.law]
     law = LAWS["exact"] if contact.calibration == "exact" and named.adjustable else named
