@@ -41,8 +41,8 @@ from impact_rig.simtime import COMMAND_GRID_S
 class Ramp(NamedTuple):
     """Linear ramp of the drive's amplitude from `initial` to `target`.
 
-    It begins at the start of tick number `first_tick` and takes `ticks` ticks of 10 ms. Amplitudes are in A, m or V, by
-    kind of drive.
+    It begins at the start of tick number `first_tick` and takes `ticks` ticks of 10 ms; 0 is a jump. Amplitudes are in
+    A, m or V, by kind of drive.
     """
 
     first_tick: int

@@ -80,7 +80,7 @@ def _integrate_one_body(
 ) -> complex:
     """Return the integral of x_1'' exp(−jωt) from t to t_end in a flight with the sphere attached.
 
-    `rotor` and `rotor_end` are exp(−jωt) at both ends.
+    `rotor` and `rotor_end` are exp(−jωt) at both ends. t counts from the start of the drive segment [s].
     """
     jw = complex(0.0, omega)
     steady, growing = flight.steady[X1], flight.growing[X1]

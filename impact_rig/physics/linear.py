@@ -292,7 +292,8 @@ def _residue(adjugate: Sequence[Matrix], rate: Complex, slope: Complex) -> list[
 def _balance(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a unit for each entry of the state y, shape (n,), in which displacements and speeds are of similar size.
 
-    The unit of a displacement is 1/ω [m], with ω² the stiffness of the columns over the mass, and all others are 1.
+    The unit of a displacement is 1/ω [m], with ω² the stiffness of the columns over the mass on them, and all others
+    are 1.
     Without these units the approximate eigenvalues would be poor, because the time scales of the rig differ by decades.
     """
     scale = np.ones(len(matrix))

@@ -163,7 +163,8 @@ class Contacts:
     def under(self, eta_0: float, perturbations: NDArray[np.float64]) -> tuple[bool, NDArray[np.float64]]:
         """Integrate a contact under η_0 and `perturbations`; return whether the sphere left the wall, and the outcome.
 
-        The perturbations are (η_1, η_2, α, γ), and the outcome has the shape (OUTCOMES,).
+        The perturbations are (η_1, η_2, α, γ), and the outcome has the shape (OUTCOMES,). It is valid only if the
+        sphere left the wall.
         """
         out = np.empty(OUTCOMES)
         left = perturbed_contact(self._parameters, self._law, eta_0, perturbations, self._states, self._steps, out)

@@ -185,7 +185,7 @@ SPANS = Fields(Spans, (INTEGERS, INTEGERS, REALS, REALS, REALS_3D))
 
 @functools.cache
 def places(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Return the index of each of the named quantities in QUANTITIES, shape (names,).
+    """Return the index of each of the named quantities in QUANTITIES, shape (number of names,).
 
     Raises:
         ValueError: a name is not in QUANTITIES.
@@ -199,10 +199,12 @@ class SamplingWorkspace(NamedTuple):
     Attributes:
         flight: one record of FLIGHT.
         step: one record of CONTACT_STEP.
-        steps: records of STATE: the steps of a tabulated contact, and last the state at its start.
+        steps: records of STATE: the states at the steps of a tabulated contact; the last record is for the state at its
+            start.
         polynomials: Taylor polynomial of each quantity, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
-        powers: (λ half)^k / k! of a rate λ and a half length, real and imaginary part, shape (2, PIECE_TERMS).
+        powers: factors (λ half)^k / k! of a Taylor series, see `_add_series`: first their real, then their imaginary
+            parts, shape (2, PIECE_TERMS).
         pulse: state of a tabulated contact: time since the touch [s], δ [m], δ' [m/s]; shape (3,).
         pulse_row: row of the history where that contact begins, −1 for none; shape (1,).
         tick: tick of each of a piece's nodes, shape (NODES,).
@@ -271,7 +273,7 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
     """Fill `workspace.powers` with (λ half)^k / k!, the factors of a Taylor series with λ = `rate`; return how many.
 
-    For λ = 0 only two are filled in, because a drive of that rate is a straight line.
+    For λ = 0 only two are filled in, because the drive is then a straight line.
     """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
@@ -454,7 +456,7 @@ def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, flo
 def _solve_up_to(
     model: Model, s: Record, step: Record, end_point: tuple[float, float, float], since: float
 ) -> tuple[float, float]:
-    """Return (w, δ') `since` seconds after the start of a contact's step, by solving a shorter step that ends there.
+    """Return (w, δ') in a contact's step, `since` seconds after its start, by solving a shorter step that ends there.
 
     `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ.
     """
@@ -567,7 +569,7 @@ def _sample_contact(
 
 @kernel
 def begin_flight_at(model: Model, f: DriveSegment, s: Record, flight: Record) -> Record:
-    """Prepare the closed form of the flight that begins at s in `flight`; return the linear system that moves."""
+    """Prepare the closed form of the flight that begins at s in `flight`; return the linear system of this flight."""
     renewed = choose_system(model, f, s, flight)
     system = model.systems[flight.system]
     if renewed:
@@ -663,9 +665,10 @@ def _sample(model: Model, trajectory: Trajectory, query: Query, workspace: Sampl
 def _fit_flight(
     p: Record, system: Record, f: DriveSegment, flight: Record, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `spans.out` for piece i with the polynomials of the wanted quantities, all motions of the structure.
+    """Fill `spans.out` for piece i with the polynomials of the wanted quantities.
 
-    The piece must lie in the flight for which `flight` has been prepared.
+    Each of these must be a motion of the structure or the drive (`_is_of_structure`). The piece must lie in the flight
+    for which `flight` has been prepared.
     """
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin

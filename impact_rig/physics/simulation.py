@@ -76,14 +76,14 @@ class Motion:
     """Motion of the rig over consecutive ticks, which `Simulation.advance` returns; it can be evaluated at any instant.
 
     A tick consists of one drive segment, or of several if the drive is a stream. An instant is given as the number of
-    its tick, counted since the reset, and its offset from the start of that tick [s]. So no value depends on how many
-    ticks one call of `advance` simulated. Motions that are evaluated one after the other may share `work`, their
+    its tick, counted since the reset, and its offset from the start of that tick [s]. So values do not depend on how
+    ticks are divided among calls of `advance`. Motions that are evaluated one after the other may share `work`, their
     scratch memory.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
         segments: the drive, shape (n,), dtype `flight.SEGMENT`.
-        first_segment: for each tick the row of its first segment in `segments`; last, the number of segments.
+        first_segment: for each tick the row of its first segment in `segments`, and at the end the number of segments.
         impacts: contacts that ended in this motion, dtype `IMPACT`; a contact may have begun in an earlier motion.
     """
 
@@ -96,7 +96,7 @@ class Motion:
 
     @property
     def sampled(self) -> tuple[Model, Trajectory, SamplingWorkspace]:
-        """First arguments of a kernel that evaluates this motion, of the types `sampling.SAMPLED`."""
+        """First arguments of every kernel that evaluates this motion; `sampling.SAMPLED` lists their types."""
         return self._model, self._trajectory, self._sampling
 
     @property
@@ -199,7 +199,7 @@ class Motion:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
         These are the instants of all stored states, which are events and steps of contacts, and two instants inside
-        each tabulated contact.
+        each tabulated contact, which is too long for one polynomial of `polynomials`.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -229,8 +229,8 @@ _PLACES = {"left": -1.0, "centre": 0.0, "right": 1.0}
 class EnergyAccount:
     """Energies since the account began [J], each integrated independently: `imbalance` measures the integration error.
 
-    The account begins again at a reset, with another configuration, at a pluck, and when the state is set (by
-    `Simulation.set_state` only if the simulation was created with `account`).
+    The account begins again at a reset, with another configuration, at a pluck, and when the state is set. But
+    `Simulation.set_state` starts it again only if the simulation was created with `account`.
 
     Attributes:
         work: work of the drive (coil force, coil voltage or prescribed base).
@@ -261,8 +261,8 @@ class Simulation:
         config: configuration of the rig.
         rtol: relative tolerance of each step of a contact.
         account: whether to compute the work of the drive and all losses (flights then cost about twice as much).
-        model: the model of `config` if it is already built; its tolerance, not `rtol`, is used until the next model is
-            built.
+        model: the model of `config` if it is already built; it keeps its own tolerance, and `rtol` is that of models
+            that the simulation builds later.
 
     Attributes:
         tick: number of the next tick to simulate, counted since the reset.
@@ -334,7 +334,7 @@ class Simulation:
         """Lock the inferior base at zero and release the superior base at rest from a displacement: a free decay.
 
         The sphere is at rest at `sphere.start`, relative to the superior base. The inferior base stays locked, whatever
-        the drive, until `reset`.
+        the drive, until `reset`. The count of ticks continues.
         """
         self._model = build(self._config, self._rtol, kind="prescribed")
         self.locked = True
@@ -446,7 +446,8 @@ class Simulation:
     def energy(self) -> EnergyAccount:
         """Return the energies since the account began [J].
 
-        If this simulation was created without `account`, the work and the losses outside the contacts are zero.
+        If this simulation was created without `account`, the work and the losses outside the contacts are zero, and
+        `imbalance` has no meaning.
         """
         ledger = self._work.ledger[0]
         work, columns, shaker, contact, friction = (float(ledger[name]) for name in LEDGER.names or ())
@@ -507,7 +508,7 @@ class Simulation:
 
 
 def _longer(rows: Any, kind: np.dtype[np.void]) -> Any:
-    """Return a copy of records with room for four times as many; the additional ones are not initialised.
+    """Return a copy of records with room for four times as many in total; the additional ones are not initialised.
 
     They are copied as bytes, because NumPy's copy, field by field, takes twelve times as long.
     """

@@ -195,7 +195,7 @@ CONTACT_STEP = np.dtype(
 
 
 def record(kind: np.dtype[np.void], rows: int = 1) -> Any:
-    """Return zeroed records of the type `kind`, shape (rows,), whose fields are attributes in plain Python, too."""
+    """Return zeroed records of the type `kind`, shape (rows,), whose fields are attributes as in kernels."""
     return with_fields(np.zeros(rows, kind))
 
 

@@ -176,7 +176,7 @@ class Stream:
         self._ramp_samples = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:
-        """Return an independent copy of this stream that reads the same buffer."""
+        """Return a copy of this stream with a position and state of its own, which reads the same buffer."""
         twin = copy.copy(self)
         twin.events = list(self.events)
         return twin
@@ -197,8 +197,8 @@ class Stream:
         if first + len(values) > self.played + self.capacity:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(
-                f"the block of samples reaches {ahead:.6g} s ahead of the rig, beyond drive.stream_buffer_s = "
-                f"{self._buffer_s:g} s: send the samples beyond it later"
+                f"the block of samples is rejected, because it reaches {ahead:.6g} s ahead of the rig, beyond "
+                f"drive.stream_buffer_s = {self._buffer_s:g} s: send a shorter block now, and the other samples later"
             )
         self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))
@@ -239,7 +239,7 @@ class Stream:
         """Return how many ticks to play from `tick` on, so that the next event of the stream is in the last of them.
 
         The event is the first sample to take effect or, while samples take effect, the first missing one; or a
-        checksum, which comes at least once per second.
+        checksum, which is due at every full second. So the result is at most one second (`SUM_TICKS`).
         """
         ahead = SUM_TICKS - tick % SUM_TICKS
         at = self._first_missing() if self.state is StreamState.PLAYING else self.buffer.first_there(self.played)
@@ -325,8 +325,8 @@ class Stream:
     def _without(self, count: int) -> NDArray[np.float64]:
         """Return replacements for `count` missing samples: a straight ramp from the last value to zero, then zeros.
 
-        After an underrun with `drive.on_underrun: hold`, the last value is repeated instead. If samples have taken
-        effect until now, the event END is added.
+        The ramp takes the time set with `set_ramp`. After an underrun with `drive.on_underrun: hold`, the last value is
+        repeated instead. If samples have taken effect until now, the event END is added.
         """
         if self.state is StreamState.PLAYING:
             self._sum_up()

@@ -138,7 +138,7 @@ class TopicDescription:
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the QoS profiles in an untrusted YAML list, with their known policies only; empty if it is not a list."""
+    """Return the QoS profiles in an untrusted YAML list, with known policies only; empty if it is not such a list."""
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
