@@ -374,21 +374,23 @@ class Hardware:
 
     def info(self) -> NDArray[np.void]:
         """Return the last published calibration of the rig: rows of `daq/info`, one per channel."""
+        self.rig.newest(INFO.name, 1)  # waits until it has arrived
         return self.rig.tables(INFO.name)[-1].rows
 
     def respond(self, samples: ArrayLike, rest: int = 0) -> NDArray[np.void]:
         """Play samples; return the scans that were taken while they were played, and `rest` further scans.
 
-        The stream ends after the last sample, so the drive ramps to zero during the further scans. Samples and scans
-        must have the same rate, which is not checked. Lost scans are missing from the result.
+        The stream ends after the last sample, so the drive ramps to zero during the further scans. Lost scans are
+        missing from the result.
 
         Raises:
+            ConfigError: samples and scans have different rates.
             TimeoutError: the rig did not advance in time.
             CommandError: a reading exceeds the limit of `abort`, or the shaker was stopped.
         """
+        _check_rates(self.rig)
         values = np.asarray(samples, np.float64)
-        first = self.output.start()
-        begin = first * self.rig.rate_hz // self.rig.stream_rate_hz
+        begin = self.output.start()
         self.acquisition.start(begin)
         parts, size = [], self.rig.stream_level().capacity // 4
         for at in range(0, len(values), size):
@@ -418,12 +420,16 @@ class Exchange:
     before the next call.
 
     Args:
-        hardware: output and acquisition, with equal rates, which is not checked.
+        hardware: output and acquisition, with equal rates.
         lag: number of samples that are written ahead of the scans read, at least 1; zeros at first. A larger
             number than a quarter of the rig's buffer is reduced to that quarter.
+
+    Raises:
+        ConfigError: samples and scans have different rates.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
+        _check_rates(hardware.rig)
         self._hardware = hardware
         self.lag = min(lag, hardware.rig.stream_level().capacity // 4)
         self._ahead = np.zeros(self.lag)
@@ -445,6 +451,15 @@ class Exchange:
         played = np.concatenate([self._ahead, samples])
         self._ahead = played[len(samples) :]
         return played[: len(samples)], np.concatenate(parts)
+
+
+def _check_rates(rig: RigDriver) -> None:
+    """Raise a ConfigError if the rates of samples and scans differ, so that they are not one to one."""
+    if rig.stream_rate_hz != rig.rate_hz:
+        raise ConfigError(
+            f"the rate of the output must be that of the scans, got drive.stream_rate_hz = {rig.stream_rate_hz} Hz and "
+            f"daq.rate_hz = {rig.rate_hz} Hz"
+        )
 
 
 def _refresh(rig: RigDriver) -> None:

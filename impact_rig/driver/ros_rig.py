@@ -161,6 +161,8 @@ class RosRig(RigDriver):
         self._hosted_recorder: RecorderNode | None = None
         self._recorder = f"{name}_recorder" if running else "recorder"
         self._stopped, self._journal_read = "", 0
+        self._stream: Collector | None = None
+        self._sent_to = 0  # number of the sample after the last one sent
         with contextlib.ExitStack() as stack:
             if directory is None:
                 temporary = tempfile.TemporaryDirectory(prefix="impact_rig_", ignore_cleanup_errors=True)
@@ -234,7 +236,6 @@ class RosRig(RigDriver):
         self.client.publisher(topics.WAVEFORM)
         self._stream = self.client.collect(topics.STREAM.name)
         self.client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
-        self._sent_to = 0
         with contextlib.suppress(WaitTimeoutError):  # a process has ended, or a peer is absent
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
 
@@ -516,9 +517,10 @@ class RosRig(RigDriver):
             samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
 
         Raises:
-            CommandError: the shaker is stopped.
+            CommandError: the rig was not started with a stream as its drive, or the shaker is stopped.
             TimeoutError: the rig does not subscribe to the topic.
         """
+        self._published_states()
         if stopped := self.stopped:
             raise CommandError(stopped)
         self.client.publish(topics.WAVEFORM, codec.encode(self._samples(first, samples)), listener="rig")
@@ -530,14 +532,25 @@ class RosRig(RigDriver):
         Returns:
             Numbers of samples: `sample` (the next to play), `buffered`, `capacity`, `late` and `missing`. Samples that
             this program has sent since the state was published count as buffered.
+
+        Raises:
+            CommandError: the rig was not started with a stream as its drive.
         """
-        table = self._stream.last()
+        states = self._published_states()
+        table = states.last()
         assert table is not None
-        del self._stream.received[:-1]
+        del states.received[:-1]
         row = table.rows[0]
         sample = int(row["wanted"])
         buffered = max(int(row["buffered"]), self._sent_to - sample)
         return StreamLevel(sample, buffered, *(int(row[name]) for name in ("capacity", "late", "missing")))
+
+    def _published_states(self) -> Collector:
+        if self._stream is None or self.config.drive.waveform != "stream":
+            raise CommandError(
+                f"the drive is {self.config.drive.waveform}, not a stream: start the rig with drive.waveform: stream"
+            )
+        return self._stream
 
     @property
     def stopped(self) -> str:
@@ -616,7 +629,7 @@ class RosRig(RigDriver):
         client.change_state("rig", "deactivate")
         client.change_state("rig", "cleanup")  # its publishers take their history with them
         client.spin_pending()
-        for collector in self._collectors.values():
+        for collector in (*self._collectors.values(), *([self._stream] if self._stream else [])):
             collector.clear()
         values = {name: value for name, value in to_flat(config).items() if not name.startswith(FIXED)}
         client.set_parameters("rig", {**values, "time.peers": self._peers})
@@ -633,7 +646,10 @@ class RosRig(RigDriver):
             client.set_parameters(self._recorder, {"directory": str(run.parent), "name": run.name})
             client.trigger(f"{self._recorder}/start")
             self._run = run
-        self.config, self.sample = config, 0
+        self.config, self.sample = from_flat(self.config, values), 0
+        if self._stream is not None and config.drive.waveform == "stream":
+            client.wait_until(self._stream.last, topics.STREAM.name)
+        self._sent_to = 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""
         return self
@@ -674,8 +690,10 @@ class RosRig(RigDriver):
             if any((self.directory / "logs").iterdir()):  # hosted nodes write none
                 shutil.copytree(self.directory / "logs", directory / "logs")
         except OSError as error:
+            self._run = run  # so that another directory can be tried
             raise RecordingError(
-                f"the run cannot be copied to {directory}: {error}; copy it from {run} before the rig is closed"
+                f"the run cannot be copied to {directory}: {error}; save it to another directory, or copy it from "
+                f"{run} before the rig is closed"
             ) from error
         return directory
 

@@ -25,6 +25,7 @@ import numpy as np
 import pytest
 
 from impact_rig.driver import Acquisition, AnalogOutput, Hardware, LocalRig, RigDriver, UnderrunError
+from impact_rig.driver.hardware import Exchange
 from impact_rig.errors import CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.rig.journal import InputKind
@@ -39,6 +40,13 @@ PAGE = Path(__file__).parents[3] / "docs" / "how-to" / "drive.md"
 
 def current(rows: np.ndarray) -> np.ndarray:
     return np.asarray(rows["current"], np.float64)
+
+
+def test_samples_and_scans_of_different_rates_cannot_be_exchanged() -> None:
+    hardware = Hardware(LocalRig({**STREAM, "drive.stream_rate_hz": 10_000}))
+    for exchange in (lambda: hardware.respond(WAVE), lambda: Exchange(hardware, 100)):
+        with pytest.raises(ConfigError, match=r"drive.stream_rate_hz = 10000 Hz and daq.rate_hz = 2000 Hz"):
+            exchange()
 
 
 # Each row of the page's table, by its first column

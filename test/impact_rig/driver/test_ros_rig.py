@@ -33,9 +33,10 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Header
 
 from impact_rig.client import Client, ServiceFailedError, isolated_domain
-from impact_rig.errors import CommandError, ConfigError
+from impact_rig.errors import CommandError, ConfigError, RecordingError
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
+from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.runs.verification import verify
 from impact_rig.testing import Fault, LocalRig, RosRig
 
@@ -84,6 +85,34 @@ class Acknowledger(Node):
 def rig() -> Iterator[RosRig]:
     with RosRig(LINEAR, [LOST], hosted=True, record=True) as started:
         yield started
+
+
+def test_samples_for_a_rig_that_is_not_driven_by_a_stream_are_rejected(rig: RosRig) -> None:
+    for drive in (rig, LocalRig(LINEAR)):
+        with pytest.raises(CommandError, match="the drive is sine, not a stream: "):
+            drive.stream_level()
+        with pytest.raises(CommandError, match="the drive is sine, not a stream: "):
+            drive.feed(0, np.zeros(10))
+
+
+def test_a_restarted_rig_begins_with_an_empty_stream_and_keeps_what_cannot_be_changed() -> None:
+    stream = {**LINEAR, "drive.waveform": "stream"}
+    with RosRig(stream, hosted=True) as rig:
+        rig.feed(0, np.full(5000, 0.1))
+        rig.run(0.2)
+        assert rig.stream_level().buffered > 0
+        rig.restart(from_flat(RigConfig(), {**stream, "daq.rate_hz": 5000, "barriers.gap_m": 0.002}), {})
+        assert rig.stream_level()[:2] == (0, 0)
+        assert (rig.config.daq.rate_hz, rig.rate_hz, rig.config.barriers.gap_m) == (10_000, 10_000, 0.002)
+
+
+def test_a_recording_whose_copy_failed_can_be_saved_to_another_directory(rig: RosRig, tmp_path: Path) -> None:
+    rig.run(0.1)
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="save it to another directory, or copy it from"):
+        rig.save(tmp_path / "file" / "run")
+    with open_run(rig.save(tmp_path / "run")) as run:
+        assert verify(run).identical
 
 
 @pytest.mark.parametrize("hosted", [True, False])
