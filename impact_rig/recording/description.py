@@ -436,7 +436,7 @@ _CRC_KEY = "crc32"
 
 @attrs.frozen(kw_only=True)
 class Provenance:
-    """Provenance of a run, in its metadata record `impact_rig`: version, seed and arithmetic of its samples."""
+    """Provenance of a run, in its metadata record `impact_rig`: versions of package and arithmetic, seed and start."""
 
     version: str
     seed: int  # seed of noise, calibration errors and random drive

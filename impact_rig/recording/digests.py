@@ -87,7 +87,7 @@ class Digests:
         return {"attachments": self._attachments.hexdigest(), "metadata": self._metadata.hexdigest(), **topics}
 
     def differences(self, recorded: Mapping[str, str]) -> Iterator[str]:
-        """Yield an English sentence for each part of the file whose digest differs from that of its recorder.
+        """Yield an English sentence for each part of the file that was changed, added or removed after the recording.
 
         Args:
             recorded: digests that the recorder of the file wrote into its metadata record `RECORD_NAME`.

@@ -62,7 +62,10 @@ class PublisherStream:
     lost: int = 0  # number of missing messages between `first` and `newest`
 
     def take(self, sequence: int) -> None:
-        """Count the message with this sequence number as received, and those between the newest one and it as lost."""
+        """Count the message with this sequence number as received, and those between `newest` and it as lost.
+
+        The number must be larger than `newest`.
+        """
         self.lost += sequence - self.newest - 1
         self.received += 1
         self.newest = sequence
@@ -221,15 +224,15 @@ def check_contiguity(
     Args:
         blocks: stamp [ns] and number of scans of each block, in the order to check.
         rate_hz: scans per second.
-        start_ns: rig time of scan 0 [ns]. None means unknown: scans are then counted from the first block, and again
-            from each block whose stamp is not a whole number of scan periods after that, so that a restarted rig counts
-            as one gap. If the scan period is not a whole number of nanoseconds, a stamp may then differ by one
+        start_ns: rig time of scan 0 [ns]. None means unknown: scans are then counted from the first block. A block
+            whose stamp is not a whole number of scan periods later starts a new count, so a restarted rig is one gap
+            only. If the scan period is not a whole number of nanoseconds, a stamp may then differ by one
             nanosecond.
         starts: rig times of scan 0 of further rigs in the same recording [ns]. The time between the last block of one
             rig and the first block of the next is no gap.
-        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block yet. Scans
-            missing before it are therefore a gap only if they are at least as many as a block and a tick of commands
-            (10 ms) have together.
+        resets: rig times of scan 0 after each reset [ns]. A reset drops the scans that do not fill a block yet. So a
+            few scans missing before it are no gap: their number must reach that of a block plus 10 ms, one tick of
+            commands.
     """
     over, under = rate_hz.as_integer_ratio()
     period_exact = NS_PER_S * under % over == 0

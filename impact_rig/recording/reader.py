@@ -267,8 +267,9 @@ class Run:
         """Return the full name of a topic, recorded or not.
 
         Args:
-            wanted: a topic or its name; a relative name is completed with the rig's namespace. A name that was recorded
-                without a leading slash is returned unchanged, unless the completed name was recorded as well.
+            wanted: a topic or its name; a relative name is completed with the rig's namespace. An absolute name is
+                returned unchanged. So is a name that was recorded without a leading slash, unless the completed name
+                was recorded as well.
 
         Raises:
             RecordingError: the name is relative, there are several rigs, and none was chosen.
@@ -387,7 +388,7 @@ class Run:
         except CodecError as error:
             raise RecordingError(
                 f"{self.path}: the message of {message.topic} with log time {message.log_time} ns is not a valid "
-                f"table: {error} (impact-rig recover cannot repair it)"
+                f"table: {error} (impact-rig recover cannot repair it; Run.messages in Python yields its bytes)"
             ) from error
 
     def received_tables(self, topic: str) -> Iterator[tuple[Message, Table]]:
@@ -415,7 +416,7 @@ class Run:
         Returns:
             One row per row of the tables, with their columns in SI units. Three columns precede them: `time` [s],
             `timestamp`, the same time as a date, and `earlier`, 1 for messages that were published before the recording
-            began. `time` counts from the first scan of the recording, without scans from the first message.
+            began. `time` counts from the first scan of the recording or, if there are no scans, from the first message.
 
         Raises:
             RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk
@@ -571,7 +572,7 @@ def open_run(path: Path | str, rig: str | None = None) -> Run:
             then raise an error.
 
     Returns:
-        The run. It is a context manager that closes the files, and is read on demand.
+        The run, a context manager that closes the files. Messages are read from the files when they are needed.
 
     Raises:
         RecordingError: there is no recording, it is not finished, its index is damaged, or it has no such rig.
@@ -683,8 +684,9 @@ def _items(
 ) -> list[_Item]:
     """Return the messages of the named topics (None: of all) in the decompressed `content` of a segment.
 
-    Each message follows its log time, the number of its segment and its own number, so that the items sort by log time,
-    and those of equal times in recorded order. `account` counts messages that are decompressed.
+    Each item is a tuple of log time, number of the segment, number of the message in it, and message. So the items sort
+    by log time, and those of equal times in recorded order. If messages are compressed one by one, their decompressed
+    sizes are added to `account`.
     """
     topics = place.source.topics
     wanted = None if names is None else frozenset(i for i, topic in topics.items() if topic.name in names)
@@ -800,7 +802,9 @@ class McapSource:
             end = position + records.RECORD_HEAD.size + length
             if end > self.size:
                 left = self.size - position - records.RECORD_HEAD.size
-                raise DamageError(f"the record at byte {position} states {length} bytes, only {left} are left")
+                raise DamageError(
+                    f"the record at byte {position} of the file states {length} bytes, only {left} are left"
+                )
             if times and (opcode == records.DATA_END or end - start > SEGMENT_BYTES):
                 size = ended - start
                 yield Segment(start, size, min(times), max(times), size, frozenset(channels), chunk=None)
@@ -809,7 +813,7 @@ class McapSource:
                 return
             if opcode == records.MESSAGE:
                 if length < records.MESSAGE_HEAD.size - records.RECORD_HEAD.size:
-                    raise DamageError(f"the message at byte {position} is too short")
+                    raise DamageError(f"the message at byte {position} of the file is too short")
                 _, _, channel, _, log_time, _ = records.MESSAGE_HEAD.unpack_from(view, position - base)
                 start, ended = start if times else position, end
                 times.append(log_time)

@@ -180,7 +180,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
     try:
         claimed = zstandard.get_frame_parameters(data).content_size
         if claimed != zstandard.CONTENTSIZE_UNKNOWN and claimed > most:
-            raise DamageError(f"a compressed message states a size of {claimed} bytes, the limit is {most}")
+            raise DamageError(f"a compressed message states a size of {claimed} bytes, the limit is {most} bytes")
         content = zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
     except zstandard.ZstdError as error:
         raise DamageError(f"a compressed message cannot be decompressed: {error}") from error

@@ -194,7 +194,7 @@ class RunWriter:
         elif known.topic.type_name != topic.type_name:
             raise RecordingError(
                 f"topic {topic.name} is recorded with the type {known.topic.type_name}: messages of type "
-                f"{topic.type_name} on it are not recorded"
+                f"{topic.type_name} on it are not recorded; publish them on another topic"
             )
 
     def write(
@@ -239,7 +239,7 @@ class RunWriter:
     def _begin_without_scans(self) -> None:
         """Write the messages that wait for a first scan without it, because the run ends or too many of them wait.
 
-        Their log time is the newest of their stamps; without stamps, each has its publish time.
+        All of them get the newest of their stamps as log time. If none has a stamp, each gets its own publish time.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         self._write_early(max(stamps, default=0) or None)
@@ -543,7 +543,7 @@ class LogClock:
 
         Args:
             first_ns: stamp of its first scan [ns].
-            last_ns: stamp of its last scan [ns].
+            last_ns: stamp of its last scan [ns], for `end_block`.
         """
         now_ns = _clamp(first_ns) if self.now_ns is None else self.now_ns
         if first_ns < now_ns and first_ns + self._offset_ns < now_ns:
@@ -571,7 +571,10 @@ def _stamp(data: bytes) -> int:
 
 
 def _block(data: bytes, table: Table | None) -> tuple[int, int] | None:
-    """Return the stamps of the first and last scan of a block [ns]; None if the message is not a table with scans."""
+    """Return the stamps of the first and last scan of a block [ns]; None if the message is not a table with scans.
+
+    `data` is the message, and `table` the table in it if it has been decoded.
+    """
     try:
         table = table or codec.decode(data)
     except CodecError:
@@ -688,7 +691,7 @@ class McapFile:
         return self._buffer.committed
 
     def add_topic(self, topic: TopicDescription) -> int:
-        """Register `topic` and return its channel id: 1 for the first, 2 for the next."""
+        """Register `topic`, which must be new, and return its channel id: 1 for the first, 2 for the next."""
         key = topic.type_name, topic.schema_encoding
         if topic.type_name and key not in self._schemas:
             data = topic.schema_bytes()
@@ -907,7 +910,7 @@ class Tail(McapFile):
         return False
 
     def shortage(self) -> str:
-        """Return an empty text: `McapFile.shortage` of the recording already leaves space for its open chunk."""
+        """Return an empty text, as if there were enough space: the check of the recording includes its open chunk."""
         return ""
 
     def secure(self) -> None:
@@ -922,7 +925,7 @@ class Tail(McapFile):
         self.commit()
 
     def remove(self) -> None:
-        """Delete this file, because its messages are now in a chunk of the recording.
+        """Delete the file of this tail, because its messages are now in a chunk of the recording.
 
         Raises:
             RecordingError: the file cannot be removed.
