@@ -485,7 +485,8 @@ class Rig:
 
         Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. Until that time is simulated, the
         sample may be sent again and replaced. An empty array ends the stream at `first_sample`. A sample that is
-        missing anywhere else, once the stream has started, causes an underrun.
+        missing anywhere else, once the stream has started, causes an underrun: the rig does what `drive.on_underrun`
+        says.
 
         Args:
             first_sample: number of the first sample.
@@ -610,7 +611,8 @@ class Rig:
     def pluck(self, displacement_m: float) -> None:
         """Lock the inferior base at zero and release the superior base from rest at a displacement: a free decay.
 
-        The base stays locked, and commands are refused, until a reset.
+        The release is at the frontier, and the drive amplitude becomes zero. The base stays locked, and commands are
+        refused, until a reset. A further pluck is allowed, and releases the superior base again.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
@@ -633,7 +635,7 @@ class Rig:
         The ramp begins at the frontier. A rig that is stopped before its first `advance` does not start to move.
 
         Args:
-            reason: reason to report, by default "emergency stop".
+            reason: reason to report, by default "emergency stop"; it replaces the reason of an earlier stop or trip.
         """
         self._add_entry(InputKind.STOP)
         self._latch(reason)
@@ -684,7 +686,7 @@ class Rig:
 
     @property
     def _drive(self) -> Drive:
-        """Drive configuration of the last start or reset, which is active until the next one uses `config.drive`."""
+        """Active drive configuration, that of the last start or reset; `config.drive` is used at the next reset."""
         return self._simulation.config.drive
 
     def _begin(self, kind: InputKind, start_ns: int) -> None:

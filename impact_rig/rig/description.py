@@ -68,8 +68,8 @@ _SHOWN = operator.itemgetter(
 def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
     """Return the values of a message on `truth/joint_states` for a true state, a row of `blocks.TRUTH_SCAN`.
 
-    The three lists are positions [m], velocities [m/s], and contact forces on the bodies [N], all positive to the
-    right. Each list is in the order of `JOINTS`.
+    The three lists are absolute displacements [m], absolute velocities [m/s], and contact forces on the bodies [N], all
+    positive to the right. Each list is in the order of `JOINTS`.
     """
     *moving, left, right = _SHOWN(truth.item())
     push = left - right  # both walls push the sphere

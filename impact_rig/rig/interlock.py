@@ -60,7 +60,8 @@ class Trip:
             underrun.
         reason: `over_travel`, `over_current` or `underrun` (a sample of a stream did not arrive in time).
         measured: travel [m], current [A rms, averaged over about 1 s], or number of the missing sample.
-        limit: limit of travel [m], or of the current [A rms], which it exceeded by more than 5 %; 0 for an underrun.
+        limit: limit of travel [m] or of the current [A rms]; 0 for an underrun. Travel trips above its limit, current
+            at more than 1.05 times its limit.
     """
 
     tick: int
@@ -246,7 +247,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:
-    """Return name, unit and largest allowed value of the drive's amplitude, and as text the parameter that sets it."""
+    """Return name, unit and limit of the drive's amplitude, and a text with the parameter that determines the limit."""
     if drive.kind == "prescribed":
         return "base amplitude", "m", shaker.travel_limit_m, "shaker.travel_limit_m"
     crest = 1.0 if drive.waveform == "random" else math.sqrt(2.0)

@@ -267,7 +267,8 @@ class JournalView:
 
     Attributes:
         configuration: every configuration value by full name; the default if no entry has changed it.
-        drive: the last commanded `frequency` [Hz] and `current` [A; m or V by `drive.kind`], if any since the start.
+        drive: the last commanded `frequency` [Hz] and `current` [A; m or V by `drive.kind`]. A key is missing if there
+            was no such command since the start or reset.
         latched: the last entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
         plucked: whether the base is locked after a pluck, until the next reset.
         start_ns: stamp of scan 0; None if no start was received.
@@ -432,5 +433,5 @@ class PlannedFaults:
 
 
 def _written(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines that are not blank, which `FaultPlan.faults` reads."""
+    """Yield the lines that are not blank; `FaultPlan.faults` skips blank lines as well."""
     return (line for line in lines if line.split())

@@ -69,7 +69,8 @@ class Smoothed:
     Attributes:
         sample: index of the scan at this instant, since the start or reset.
         values: filtered reading by channel.
-        status: bit j is set if channel j was over range in a scan between the previous and the next monitor instant.
+        status: bit j is set if the channel of row j of `daq/info` was over range in a scan between the previous and the
+            next monitor instant.
     """
 
     sample: int
@@ -80,7 +81,7 @@ class Smoothed:
 class AntiAlias:
     """Low-pass filter of consecutive scans, which gives readings at the monitor instants: every `step`-th scan.
 
-    When a scan arrives, it is added to the weighted sum of every instant whose window contains it; no scan is kept.
+    No scan is kept: each one is weighted and added to the sum of every instant whose window contains it.
 
     Args:
         channels: columns to filter.

@@ -77,8 +77,9 @@ class RecordedSamples(Buffer):
     Args:
         rig: re-simulated rig, driven by the stream.
         entries: entries of the recorded rig's journal after the first.
-        waveform: blocks of samples in the order of their receipt, doubtful ones first. A version of a sample that
-            arrived after the time of the sample is ignored if an earlier block that is not doubtful contains it, too.
+        waveform: blocks of samples in the order of their receipt, those with `is_doubtful` first. If several blocks
+            contain a sample, the last one counts. A block that arrived after the time of the sample only counts if no
+            earlier block contains it, except doubtful ones.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -131,7 +132,7 @@ class RecordedSamples(Buffer):
         return held
 
     def values(self, first: int, end: int) -> Samples:
-        """Return the recorded values of the stream's samples first … end − 1."""
+        """Return the recorded values of the samples first … end − 1; use only those for which `there` is True."""
         found: Samples = self._recorded[first:end]
         return found
 
@@ -190,9 +191,9 @@ class Resimulation:
                 yield config
 
     def finish(self, until_ns: int) -> None:
-        """Simulate until all entries of the journal up to the rig time `until_ns` [ns], that of a reset, are applied.
+        """Simulate until the entries of the journal up to the rig time of a reset, `until_ns` [ns], are applied.
 
-        So `calibrations` and `configurations` contain all changes. The blocks up to there are dropped.
+        `calibrations` and `configurations` then contain all changes. The blocks up to there are dropped.
         """
         while self._coming and self._instant(self._coming[0]) <= until_ns:
             next(self.blocks)
@@ -215,7 +216,7 @@ class Resimulation:
     def _instant(self, change: JournalEntry) -> int:
         """Return the rig time [ns] at which to apply a journal entry: the start of the tick with the entry's scan.
 
-        A fault is applied at the start already, because the rig then lets it act from the entry's scan on.
+        For a fault it is the time of scan 0, because the rig itself lets the fault act from the entry's scan on.
         """
         if change.kind is InputKind.FAULT:
             return self.rig.start_ns

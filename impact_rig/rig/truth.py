@@ -76,7 +76,8 @@ def state_rows(
     """Fill `rows` with the true states at a selection of scans: the number of the scan, then the quantities of `query`.
 
     `Truth.pop_states` later replaces the number by the time. `rows` has the shape (n, 1 + q) for q quantities, and
-    `query` has room for n instants. `tick_s` is the duration of a tick in the time of the motion [s].
+    `query` has room for n instants. `tick_s` is the duration of a tick in the time of the motion [s]: 10 ms, scaled by
+    the error of the scan clock.
     """
     seconds_per_rest = tick_s / scans.rate_hz
     for i in range(rows.shape[0]):
@@ -111,9 +112,9 @@ class Truth:
 
     Args:
         rate_hz: scans per second.
-        monitor_hz: wanted rate of the monitor topics; the state at every k-th scan is kept, with the smallest k that
-            does not exceed this rate.
-        every_scan: whether to keep the state at every scan instead.
+        monitor_hz: highest rate of the monitor topics [Hz]. The state at every k-th scan is kept, with the smallest k
+            for which the rate of scans divided by k does not exceed it.
+        every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
     """
 
     def __init__(self, rate_hz: int, monitor_hz: float, every_scan: bool) -> None:
@@ -127,9 +128,9 @@ class Truth:
         """Choose the scans whose true states are kept, from the next tick on.
 
         Args:
-            monitor_hz: wanted rate of the monitor topics; the state at every k-th scan is kept, with the smallest k
-                that does not exceed this rate.
-            every_scan: whether to keep the state at every scan instead.
+            monitor_hz: highest rate of the monitor topics [Hz]. The state at every k-th scan is kept, with the smallest
+                k for which the rate of scans divided by k does not exceed it.
+            every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
         """
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)
         self.every_scan = every_scan

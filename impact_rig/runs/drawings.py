@@ -68,7 +68,7 @@ def draw(
 ) -> tuple[Excerpt, list[Path]]:
     """Draw the figures of a run; return the excerpt that was drawn, and the paths of the new files in `directory`.
 
-    `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
+    `found` are the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it.
 
     Raises:
         RecordingError: the run has no calibration or too few scans, or a file exists or cannot be written.

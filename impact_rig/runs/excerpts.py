@@ -192,7 +192,8 @@ def response_of(
         segment_s: length of the segments over which spectra are averaged [s]: frequencies are 1 / segment_s apart. None
             selects a length that resolves the resonance.
         window: name of a window of `analysis.frf`.
-        damping_ratio: damping ratio of the resonance; None means the estimated one.
+        damping_ratio: damping ratio of the resonance, which affects the selected segment length and the uncertainty;
+            None means the estimated one.
 
     Raises:
         RecordingError: the scans are too few, lack laser or base, or no excited frequency has a coherence of at least
@@ -248,7 +249,9 @@ class Sines:
 
 
 def sines_of(run: Run, excerpt: Excerpt) -> Sines:
-    """Fit sines of one frequency, found near that of the drive, to all channels of an excerpt of a run.
+    """Fit sines of one frequency to all channels of an excerpt of a run.
+
+    The frequency is that of the reference channel (`Sines.reference`), searched near the drive frequency.
 
     Raises:
         RecordingError: the drive frequency is unknown, or the reference channel has no sine near that frequency.

@@ -244,10 +244,10 @@ def _response_functions(
 
 
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
-    """Return y over x as a dataset 58 for pyuff; the file has every value of x, unless x is an evenly spaced time.
+    """Return y over x as a dataset 58 for pyuff, without a unit of y.
 
-    For an evenly spaced time, the file has only the first value and the step, with six digits each. Readers compute the
-    other values from them.
+    Of an evenly spaced time x, the file has only the first value and the step, with six digits each. Readers compute
+    the other values from them. Of any other x, the file has all values.
     """
     begin, step = (float(f"{one:.5e}") for one in (x[0], x[1] - x[0]))
     line = one_line(name, 80)  # a line of its own in the file

@@ -207,8 +207,8 @@ def _verdict(
 ) -> str:
     """Return the verdict on a run without damage, as one sentence.
 
-    The sentence begins with "whole" only if nothing is missing, everything carries a checksum, and the recorder kept an
-    account of lost messages.
+    The sentence begins with "whole" only if nothing is missing, everything carries a checksum, the recorder kept an
+    account of lost messages, and the run was not written by a recovery.
 
     Args:
         tally: counts over the messages.
@@ -312,9 +312,9 @@ def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]
     """Return the numbers of duplicate messages of a topic, and of messages that were received but are not in the files.
 
     A file does not name the sender of a message. The sequence numbers in the files are therefore compared with those of
-    all publishers together: no number may occur more often than there are publishers that sent it. Both results are 0
-    if this comparison is impossible: some messages have no sequence number, or the account lacks the numbers of some
-    publishers.
+    all publishers together: a number may occur once for each publisher whose range of numbers includes it. Both results
+    are 0 if this comparison is impossible: some messages have no sequence number, or the account lacks the numbers of
+    some publishers.
 
     Args:
         numbers: sequence numbers of the messages of a topic in the files.

@@ -83,10 +83,11 @@ def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _
 def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator[Message]:
     """Yield the messages of some topics of a run in the order in which the rig published them (publish time).
 
-    Scans keep the order in which they were received. The topics are sorted because each reaches a recorder
-    independently: on a busy machine a change may arrive many scans late, and latched messages arrive late at a recorder
-    that starts while the rig runs. Without a calibration (`daq/info`) nothing can be measured, so the first calibration
-    is yielded before all scans in any case.
+    Scans keep the order in which they were received; the other messages are inserted by their publish times. The order
+    of receipt does not suffice for them, because each topic reaches a recorder independently. On a busy machine a
+    change may arrive many scans late, and latched messages arrive late at a recorder that starts while the rig runs.
+    Without a calibration (`daq/info`) nothing can be measured, so the first calibration is yielded before all scans in
+    any case.
 
     Args:
         run: an open run.
@@ -115,9 +116,9 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     """Return the last settings of the live analysis in a run, and the gap labels that it has published.
 
     If no live analysis was recorded, the settings are the defaults, and the labels are those in the operator's remarks.
-    The list of labels is empty if two analyses published settings in turn, because it is then unknown which of them
-    made a label. Settings are read before the scans, because a label may have been recorded after the scan from which
-    it applies.
+    The list of labels is empty if the settings of two analyses alternate, because it is then unknown which of them
+    made a label. Call this before the scans are analysed, because a label may have been recorded after the scan from
+    which it applies.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -142,9 +143,9 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings that live analyses of a run published, in order; invalid tables are skipped.
 
     Settings apply from the stamp of their table on. Those with which an analysis starts have the stamp 0, so they apply
-    to all scans that it receives. An analysis that was restarted during the run has not received the earlier scans, so
-    its settings apply from its restart at the earliest. The settings of an analysis that ended before the run were
-    recorded only because their topic is latched, and are left out.
+    to all scans that it receives. If it was restarted during the run, these are only the scans after the restart. The
+    settings of an analysis that ended before the run were recorded only because their topic is latched, and are left
+    out.
 
     Raises:
         RecordingError: all recorded settings are invalid.
