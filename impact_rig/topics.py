@@ -282,12 +282,18 @@ PLOT_PULSES = _extremes(
 
 
 def envelope(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's envelope: its least, largest and rms value in each 20 ms, for plotters."""
+    """Return the topic of a channel's envelope: its least, largest and rms value in each 20 ms, for plotters.
+
+    The stamp of a message is that of the first scan of its 20 ms.
+    """
     return _extremes(channel, unit, "every scan of an interval of 20 ms in three numbers; stamp = its first scan.")
 
 
 def spectrum(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's amplitude spectrum, once a second, for plotters."""
+    """Return the topic of a channel's amplitude spectrum over 4 s, once a second, for plotters.
+
+    The stamp of a message is that of its last scan.
+    """
     return Topic(
         f"plot/spectrum/{channel}",
         "geometry_msgs/msg/PolygonStamped",

@@ -69,9 +69,8 @@ def add_command(commands: Commands) -> None:
         nargs="?",
         const=FOUND,
         metavar="NAMESPACE",
-        help="show a rig that is running already, and leave it running, instead of starting one; NAMESPACE of the rig, "
-        "such as /rig. Without NAMESPACE: the rig that is found; the page waits for one, and lets you choose from "
-        "several",
+        help="show the running rig in NAMESPACE, such as /rig, instead of starting one; the rig keeps running when the "
+        "lab ends. Without NAMESPACE: the rig that is found; the page waits for one, and lets you choose from several",
     )
     parser.add_argument(
         "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"

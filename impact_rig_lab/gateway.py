@@ -582,7 +582,8 @@ class Gateway:
             raise Refused("a remark must not be empty")
         if not recorder.lives:
             raise Refused(
-                f"no recorder is running, so the remark would be lost{f', {recorder.gone}' if recorder.gone else ''}"
+                f"no recorder is running{f' ({recorder.gone})' if recorder.gone else ''}, so the remark would be lost: "
+                "start the recorder, then repeat the remark"
             )
         self._publish(topics.NOTES, value)
         records = recorder.state not in (
@@ -645,6 +646,8 @@ class Gateway:
 
     def _start(self, node: str) -> None:
         """Start or restart a node of this lab, and forget the last report of its previous process.
+
+        The function returns when the new process is created; until then it blocks the event loop.
 
         Raises:
             Refused: this lab does not start nodes.

@@ -265,7 +265,7 @@ class LiveSource(Source):
 
 
 def _waits(rig: Seen) -> bool:
-    """Return whether a rig reports whose time has not started yet: all known data then belong to the previous rig."""
+    """Return whether the rig reports, but its time has not started: all known data then belong to the previous rig."""
     return rig.lives and "rig_time_s" not in rig.figures
 
 

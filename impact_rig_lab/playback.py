@@ -294,7 +294,10 @@ class RunPlayer:
         }  # fmt: skip
 
     def rows(self, page_s: float) -> list[dict[str, Any]]:
-        """Return the newest measurements up to a time of the page [s], at most `MOST_ROWS`, as `Curve.part` does."""
+        """Return a new list of the newest measurements up to a time of the page [s], with the keys of `Curve.part`.
+
+        There are at most `MOST_ROWS`.
+        """
         at_s = page_s + self.offset_s
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
@@ -370,7 +373,7 @@ class PlaybackSource(Source):
         return self._now_s
 
     def start(self) -> None:
-        """Start to read the marks of the runs, and to play."""
+        """Start to read the marks of the runs (changes, measurements, faults, impacts, lost blocks), and to play."""
         for run in self._runs:
             run.start()
         super().start()
@@ -480,7 +483,7 @@ class PlaybackSource(Source):
             RecordingError: there is no second run, or no such entry in what has been read of the runs so far.
         """
         if len(self._runs) < 2:
-            raise RecordingError("only one run is shown: there is nothing to align")
+            raise RecordingError("only one run is shown, so there is nothing to align: open the page with two runs")
         first, second = self._runs
         words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
         offset_s = second.begin_s - first.begin_s if by == "start" else 0.0

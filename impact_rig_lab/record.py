@@ -139,9 +139,10 @@ class MotionBuffer:
     """Motion of the last seconds in SI units: true states and impacts, and impacts detected by the accelerometer.
 
     Attributes:
-        states: rows of time, x_b, x_1, x_2, v_b, v_1, v_2 (inferior base, superior base, sphere).
+        states: rows of time, three positions x_b, x_1, x_2 and their velocities v_b, v_1, v_2. The indices b, 1 and 2
+            denote inferior base, superior base and sphere.
         impacts: rows of time, wall, approach speed, separation speed, peak force of the true impacts.
-        detected: rows of time, peak, sign of the impacts detected by the accelerometer.
+        detected: rows of time, peak [m/s²], sign of the impacts detected by the accelerometer.
     """
 
     def __init__(self) -> None:
@@ -448,7 +449,8 @@ class RigView:
     def since_ns(self, at_ns: int | None = None) -> int:
         """Return the stamp of scan 0 of the present rig, or of the rig that ran at a past rig time.
 
-        Data with earlier stamps belong to another rig.
+        Data with earlier stamps belong to another rig. Later stamps do not show that data belong to this rig: a
+        previous rig that ran faster than real time may have reached them.
         """
         if at_ns is None:
             return max(self.start_ns, self.told_start_ns)
@@ -560,8 +562,8 @@ class RigView:
     def stream_part(self) -> dict[str, float] | None:
         """Return the state of the stream that drives the rig for the page; None if the drive is not a stream.
 
-        `buffered` and `capacity` of the stream's buffer, and the `missing` and `late` samples, are in seconds;
-        `refused` is a number of blocks of samples.
+        Numbers of samples are converted to seconds of the stream: `buffered` and `capacity` of its buffer, and the
+        `missing` and `late` samples. `refused` is a number of blocks of samples.
         """
         if self.stream is None:
             return None
@@ -575,10 +577,10 @@ class RigView:
         return None if change is None else change[1]
 
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
-        """Return rig time and values of the newest change of the drive, or of the last one up to a past rig time.
+        """Return rig time [ns] and values of the newest change of the drive, or of the last one up to a rig time [ns].
 
-        Returns None if there is no such change. Without a rig time, a change that belongs to a previous rig does not
-        count.
+        Returns None if there is no such change. If `at_ns` is None, only changes of the present rig count; otherwise
+        those of all rigs.
         """
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)

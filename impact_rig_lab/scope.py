@@ -101,7 +101,7 @@ class ScopeLevel:
             self.status[place] = 0
 
     def gather(self, below: ScopeLevel, end: int) -> None:
-        """Compute the pairs of this level whose groups have become complete since the last call.
+        """Compute the pairs (minimum, maximum) of this level whose groups have become complete since the last call.
 
         Args:
             below: level with smaller groups of scans, from which the pairs are computed.
@@ -158,8 +158,9 @@ class Scope:
             CodecError: a channel is not numeric.
         """
         rows = table.rows[-self._size :]
-        if any(rows.dtype[name].kind not in "fiu" for name in channels_of(rows)):
-            raise CodecError("daq/scan has a channel that is not numeric, so that its block cannot be drawn")
+        for name in channels_of(rows):
+            if rows.dtype[name].kind not in "fiu":
+                raise CodecError(f"channel {name} of daq/scan is not numeric, so that its block cannot be drawn")
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return
@@ -181,7 +182,7 @@ class Scope:
 
         Args:
             table: table of `shaker/waveform`.
-            rate_hz: samples per second.
+            rate_hz: samples of the stream per second; the samples are interpolated at the times of the scans.
             start_ns: stamp of scan 0.
         """
         if self._commanded is None:
@@ -326,6 +327,9 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
 
 @functools.lru_cache(maxsize=4)  # every page requests it four times a second, usually with the same length
 def _hann(count: int) -> NDArray[np.float64]:
-    """Return a Hann window of `count` samples, scaled so that a sine at a line of the spectrum has its peak value."""
+    """Return a Hann window of `count` samples, scaled for `rfft`.
+
+    The absolute value at a line of the spectrum is then the peak amplitude of a sine with the frequency of that line.
+    """
     window = np.hanning(count)
     return window * (2.0 / window.sum())

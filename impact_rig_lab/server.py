@@ -348,7 +348,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Return the address (URL) to open in a browser, with the token."""
+        """Return the address (URL) to open in a browser, with the token; its host is `host` as given, even 0.0.0.0."""
         return f"http://{self._name}:{self.port}/?token={self.token}"
 
     @property
@@ -493,8 +493,8 @@ class Server:
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Pass a request to its handler, unless it comes from another web site (middleware of the application).
 
-        Requests with a host name that is not the lab's (DNS rebinding), or with the origin of another page, are
-        rejected.
+        Requests with the origin of another page are rejected. If the lab is served only to this machine (a loopback
+        address), so are requests with a host name that is not the lab's (DNS rebinding).
         """
         self._unserved.discard(request.protocol)
         response: web.StreamResponse | None = self._turned_away(request)

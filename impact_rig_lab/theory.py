@@ -152,7 +152,7 @@ class Continued(NamedTuple):
 
         Args:
             values: parameters of the rig by name; missing ones count as equal.
-            amplitude: peak amplitude of its drive.
+            amplitude: peak amplitude of its drive [A or m by `drive.kind`].
         """
         return math.isclose(amplitude, self.amplitude, rel_tol=1e-6) and all(
             values.get(name, value) == value for name, value in self.values.items()
@@ -193,7 +193,7 @@ def continued(directory: Path) -> Continued:
 def _parts(
     frequency_hz: NDArray[np.float64], dt: NDArray[np.float64], stable: NDArray[np.bool_]
 ) -> Iterator[list[Any]]:
-    """Yield the stable and unstable parts of a branch, in turn, in the form of `lines` of `predicted`.
+    """Yield the stable and unstable parts of a branch, in turn: [whether it is stable, [[frequency in Hz, DT], ...]].
 
     Successive parts share a point, so that the drawn line has no gap.
 

@@ -99,10 +99,10 @@ def word(key: str, value: object, choices: Iterable[str]) -> str:
 
 
 def words(key: str, value: object, choices: Iterable[str]) -> tuple[str, ...]:
-    """Return the values of a list, a range or a single value (`values`), each of which must be one of `choices`.
+    """Return the texts of a list, or a single text as a tuple of length 1; each must be one of `choices`.
 
     Raises:
-        ConfigError: a value is not one of `choices`, or the list is invalid.
+        ConfigError: a text is not one of `choices` or occurs twice, or there are none.
     """
     return tuple(word(key, item, choices) for item in values(key, value))
 

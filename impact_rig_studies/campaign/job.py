@@ -154,11 +154,10 @@ TRUE_COLUMNS = ("x_b", "x_1", "x_2", "v_1", "v_2")
 def run_job(job: Job, start: Callable[[Job], RigDriver], on_update: OnUpdate = ignore) -> Outcome:
     """Measure a job; an error of the rig or the sweep becomes the `failure` of its outcome, not an exception.
 
-    The rig is not closed.
-
     Args:
         job: job to measure.
         start: function that returns a new rig with its analysis for the job, in this process or as ROS nodes.
+            `run_job` does not close the rig: if it has processes, `start` must store it for the caller to close.
         on_update: function that receives the sweep at its start, and after each block of scans with new measurements.
 
     Raises:
