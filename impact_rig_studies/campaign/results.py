@@ -62,7 +62,7 @@ class Point:
 
     @property
     def settled(self) -> bool:
-        """Return whether the point has measurements and all of them are settled."""
+        """Return whether the point has all its planned measurements and all of them are settled."""
         return len(self.rows) > 0 and not self.failure
 
     @property
@@ -72,7 +72,7 @@ class Point:
 
     @property
     def u_dt(self) -> float:
-        """Standard uncertainty of `dt`; NaN without a measurement."""
+        """Standard uncertainty of `dt`: rms of the measurements' uncertainties (`combined`); NaN without one."""
         return combined(self.rows) if len(self.rows) else NAN
 
     @property
@@ -112,7 +112,7 @@ class Point:
 
     @property
     def note(self) -> str:
-        """Remark that a slow sphere may strike unnoticed, if the last measurement shows no impacts; else empty."""
+        """Remark on a last measurement without impacts, that a slow sphere could still strike later; else empty."""
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
@@ -184,7 +184,7 @@ class Curves:
         return cls(found)
 
     def at(self, gap_m: float, frequency_hz: float) -> Point | None:
-        """Return the settled point with this gap and frequency, or None if there is none."""
+        """Return the settled point with exactly this gap and frequency, or None if there is none."""
         return self.by_gap.get(gap_m, {}).get(frequency_hz)
 
     def frequencies(self, gap_m: float) -> list[float]:
@@ -207,7 +207,7 @@ def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     """Return the points as a table: the names of the columns, and one row per point.
 
     The columns are `COLUMNS`, and then one for each axis of any study. Missing measurements are NaN, and so is the gap
-    of points without the sphere. The value is an empty text if a study does not have the axis.
+    of points without the sphere. For an axis that a point's study does not have, the value is an empty text.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [

@@ -50,10 +50,10 @@ class WorkItem(Protocol):
 
     @property
     def key(self) -> str:
-        """Identifier of the unit: a digest of all values that determine its result."""
+        """Identifier of the job or task: a digest of all values that determine its result."""
 
     def describe(self) -> str:
-        """Return a short name of the unit for the reader."""
+        """Return a short name of the job or task for the reader."""
 
 
 @attrs.frozen
@@ -118,7 +118,8 @@ class TaskStore(Generic[T]):
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(
-                f"{self.directory} holds no results of `impact-rig {self.what}`, whose --help shows how to create them"
+                f"{self.directory} holds no results of `impact-rig {self.what}`; `impact-rig {self.what} --help` shows "
+                "how to create them"
             )
         return load_config(self.directory / CONFIGURATION_FILE)
 

@@ -106,9 +106,9 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
-    """Measure all gaps, and return the settled measurements by gap [m].
+    """Measure without the sphere (key `NO_SPHERE`) and at all gaps; return the settled measurements by gap [m].
 
-    Each gap is recorded as a run in `directory`, named as in `RUNS`.
+    Each measurement is recorded as a run in `directory`, named as in `RUNS`.
 
     Raises:
         ImpactRigError: a gap could not be measured.

@@ -83,7 +83,7 @@ def _job(arguments: argparse.Namespace) -> Job:
 def run_hold(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
 
-    The code is 1 if DT was not measured at a frequency, or the amplitude was not within the tolerance at one; else 0.
+    The code is 0 if DT was measured at all frequencies with the amplitude within the tolerance; else 1.
     """
     unit = HELD_UNITS[arguments.what]
     try:
@@ -104,7 +104,7 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
     """Run a sweep over the frequency, write and print its curve, and return the exit code.
 
-    The code is 1 if DT was not measured at a frequency, or a controlled amplitude was not within the tolerance; else 0.
+    The code is 0 if DT was measured at all frequencies, with a controlled amplitude within the tolerance; else 1.
     """
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:
@@ -200,7 +200,10 @@ def run_lock(arguments: argparse.Namespace) -> int:
 
 
 def run_backbone(arguments: argparse.Namespace) -> int:
-    """Find the resonance at each of several currents, up and down; return the exit code, 1 if the test ended early."""
+    """Find the resonance at each of several currents, first rising, then falling; return the exit code.
+
+    The code is 1 if the test ended early; else 0.
+    """
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
@@ -253,7 +256,7 @@ def _write(
 def _tell(
     arguments: argparse.Namespace, directory: Path, table: TextTable, sentence: str, content: Mapping[str, object]
 ) -> None:
-    """Print the results of a test (table and sentence, or JSON), and their directory as the last line."""
+    """Print the results of a test: table, sentence, and their directory as the last line; or all of this as JSON."""
     console = Console(quiet=arguments.json)
     console.print(table)
     if sentence:

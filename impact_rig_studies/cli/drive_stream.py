@@ -64,7 +64,7 @@ def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -
 
 
 def run_frf(arguments: argparse.Namespace) -> int:
-    """Measure a frequency response with noise or a chirp, and return the exit code.
+    """Measure the frequency response of one channel to another with noise or a chirp, and return the exit code.
 
     The code is 1 if the test ended early, or the response is only noise.
     """

@@ -130,7 +130,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
         frequencies = curves.frequencies(NO_SPHERE) if done.imported else FREQUENCIES_HZ
         points = [point for f in frequencies if (point := curves.at(NO_SPHERE, f)) is not None]
         sine = sine_of(points, gains) if points else None
-        console.print(f"stepped sine without sphere: {len(points)} points")
+        console.print(f"stepped sine without sphere: {len(points)} points of the campaign are used")
     if "reductions" not in arguments.without:
         at_hz, gaps = FREQUENCY_HZ, tuple(REDUCTION_PERCENT)
         if done.imported:  # at the frequency with the most gaps besides the curve without sphere
@@ -138,7 +138,7 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
             counts = {f: sum(curves.at(g, f) is not None for g in gaps) for f in curves.frequencies(NO_SPHERE)}
             at_hz = max(counts, key=lambda f: counts[f], default=FREQUENCY_HZ)
         reduced = reduced_of(curves, at_hz, gaps, gains)
-        console.print(f"reductions at {at_hz:g} Hz: {len(reduced.ratio) if reduced else 0} gaps")
+        console.print(f"reductions at {at_hz:g} Hz: {len(reduced.ratio) if reduced else 0} gaps are used")
     return Measured(gains=gains, decay=decay, sine=sine, reduced=reduced, u_restitution=arguments.e_uncertainty)
 
 
@@ -213,8 +213,8 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
     reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
     rest = "" if fit.converged else "; the fit has not converged, along a valley without a minimum"
     console.print(
-        f"reductions of the fit {reductions} %; rms difference from the paper {fit.rms_points:.2f} points, of the "
-        f"configuration {fit.default_rms_points:.2f}{rest}"
+        f"reductions of the fit {reductions} %; rms difference from the paper: {fit.rms_points:.2f} percentage points "
+        f"with the fit, {fit.default_rms_points:.2f} with the configuration{rest}"
     )
     if "I" in fit.fitted:
         _print_combinations(console, fit.information)
@@ -232,7 +232,11 @@ def _paper_content(fit: paper_fit.PaperFit) -> dict[str, object]:
 
 
 def identified_content(found: Identified) -> dict[str, object]:
-    """Return the identified constants, their combinations and alternatives as data for JSON."""
+    """Return the identified constants as data for JSON, with their combinations and alternatives.
+
+    A combination is a product of powers of the constants, with its own uncertainty. An alternative is another
+    explanation of the same data.
+    """
     information = found.information
     return {
         "constants": {
