@@ -46,6 +46,9 @@ def scan_index(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
 
 
 def first_scan_at(time_ns: int, rate_hz: float, start_ns: int = 0) -> int:
-    """Return the index of the first scan at or after a rig time, if scan 0 is at `start_ns`; without rounding error."""
+    """Return the index of the first scan at or after a rig time, if scan 0 is at `start_ns`; negative before scan 0.
+
+    It is computed in integer arithmetic without rounding errors.
+    """
     over, under = rate_hz.as_integer_ratio()
     return -(-(time_ns - start_ns) * over // (under * NS_PER_S))

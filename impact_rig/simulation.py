@@ -53,14 +53,14 @@ class Record:
 
     Attributes:
         config: configuration of the rig.
-        scans: readings, a structured array of shape (n,): `time` [s], `accelerometer` [m/s²], `laser` [m] (displacement
-            of the structure), `base` [m], `current` [A] and `status` (bits of channels over range). Scans withheld by a
-            `lost_block` fault are missing.
+        scans: readings, a structured array of shape (n,): `time` [s], `accelerometer` [m/s²], `laser` [m] (absolute
+            displacement of the structure), `base` [m] (that of its base), `current` [A] and `status` (bits of channels
+            over range). Scans withheld by a `lost_block` fault are missing.
         state: state of the measurement at the end. `state.word` is settling, measuring, ...; `state.reason` says why
             there is no DT.
         measurements: rows of `transmissibility/table`, shape (m,), the newest last: `transmissibility`, `phase` [rad],
             their standard uncertainties, `impacts_per_cycle` and more. It is empty before the first measurement, which
-            takes about 12 s.
+            takes about 12 s; `transmissibility` of the record is then NaN.
         impact_times: times [s] of the impacts that the analysis found in the acceleration, shape (k,).
         truth: true impacts, shape (j,), rows of `truth/impacts`: `time` [s], `approach_speed` [m/s], `peak_force` [N]
             and more. The analysis does not see them.
@@ -130,23 +130,26 @@ def simulate(seconds: float, parameters: Mapping[str, object] | None = None) -> 
     DT is the amplitude of the structure divided by that of its base, both at the drive frequency. It is measured from
     the readings of the simulated instruments, as on a real rig. The rig is that of the paper: M. Vieira de Albuquerque
     and R. Pederiva, "Modeling of an impact damper submitted to forced vibration from a nonlinear contact force model".
-    The same arguments give the same bits on every machine.
+    The same arguments give the same readings, bit for bit, on every machine. The last digits of the measurements may
+    differ between machines.
 
     Args:
         seconds: rig time [s], from one block of scans (10 ms) to 3600, rounded down to whole blocks. The first
             measurement ends after about 12 s; a shorter run has no DT.
         parameters: configuration values that differ from the paper's rig, `section.key` -> value, as in
             docs/reference/configuration.md. Without values of the section `drive`, the drive is that of the paper: a
-            sine of 9.1 Hz and 0.52 A peak.
+            sine of 9.1 Hz and 0.52 A peak. With any of them, the others have their defaults; without
+            `drive.amplitude`, the rig is then not driven.
 
     Returns:
-        The readings and the measurements. `record.transmissibility` is DT with its standard uncertainty.
+        The readings and the measurements. `record.transmissibility` is DT with its standard uncertainty; both are NaN
+            if there is no DT.
 
     Raises:
         ConfigError: a key is unknown, or a value or the duration is out of range.
 
     Examples:
-        The paper's rig with a gap of 6 mm between sphere and barriers, and with none at all:
+        The paper's rig with a gap of 6 mm (the default) between sphere and barriers, and without the sphere:
 
         >>> import impact_rig
         >>> print(impact_rig.simulate(20.0, {"barriers.gap_m": 0.006}))

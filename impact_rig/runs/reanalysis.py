@@ -104,7 +104,8 @@ def _in_published_order(run: Run, names: Mapping[str, topics.Topic]) -> Iterator
     calibration = next((message for message in others if names[message.topic] is topics.INFO), None)
     if calibration is None:
         raise RecordingError(
-            f"{run.path} holds no calibration ({topics.INFO.name}), so the rate and units of its scans are unknown"
+            f"{run.path} holds no calibration ({topics.INFO.name}), so the rate and units of its scans are unknown: "
+            "choose a run that has it"
         )
     if calibration.publish_time >= first.publish_time:
         others.remove(calibration)
@@ -177,7 +178,9 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
         )
         earlier.add(started_of(table))
     if invalid and not found:
-        raise RecordingError(f"{run.path}: {invalid[0]}") from invalid[0]
+        raise RecordingError(f"{run.path}: no settings of its live analysis are valid; the first: {invalid[0]}") from (
+            invalid[0]
+        )
     return found
 
 
@@ -246,7 +249,10 @@ def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]
 
 
 def _text(cdr: bytes | memoryview) -> str:
-    """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8."""
+    """Return the text of a serialized std_msgs/String: 4 bytes of encapsulation, length with terminator, UTF-8.
+
+    Invalid bytes become U+FFFD; a message that is too short gives the text that is there.
+    """
     length = int.from_bytes(cdr[4:8], "little")
     return bytes(cdr[8 : 8 + max(0, length - 1)]).decode(errors="replace")
 
@@ -416,8 +422,8 @@ def compare(run: Run, offline: Iterable[Table], impacts: Iterable[Table] | None 
 def lag_s(run: Run, block_s: float) -> float:
     """Return by how much messages of other topics may arrive later than the scans of the same time [s of rig time].
 
-    In the last seconds of a recording with this length, other messages may therefore be missing. A rig that is not
-    paced by a wall clock runs ahead of its peers by `time.ack_window` blocks; the result is at least `LAG_S`.
+    Other messages may therefore be missing for this time at the end of a recording. The reason is that a rig may run
+    ahead of its peers by `time.ack_window` blocks. The result is the duration of one block more, and at least `LAG_S`.
 
     Args:
         run: an open run.
@@ -532,9 +538,10 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the series of scans that the live analysis has not received, according to its rows.
+    """Return the series of scans that the live analysis has not received, according to its rows, at least one.
 
-    These are the scans before its first row, and after each row with the status of lost blocks those up to the next.
+    These are the scans before its first row. After each row with the status `lost_blocks`, they are also the scans up
+    to the first scan of the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]

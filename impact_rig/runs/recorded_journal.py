@@ -95,7 +95,10 @@ def _entry(stamp_ns: int, rows: Sequence[np.void]) -> JournalEntry:
     try:  # rows that continue a change in another table have no start here
         kind = InputKind.PARAMETER if first["kind"] in _CONTINUE else InputKind(word)
     except ValueError:
-        raise ConfigError(f"a row of the recorded journal has the unknown kind {word!r}") from None
+        raise ConfigError(
+            f"a row of the recorded journal has the kind {word!r}, which this version does not know; read the run with "
+            "the version of impact_rig that recorded it"
+        ) from None
     sample, stamp = int(first["sample"]), stamp_ns + round(float(first["time"]) * NS_PER_S)
     name, value, text = bytes(first["key"]).decode(), float(first["value"]), bytes(first["text"]).decode()
     begins = kind in BEGINNINGS

@@ -212,7 +212,7 @@ def _check_chunk_head(head: bytes, length: int) -> None:
 
 def _check_message(content: memoryview) -> None:
     if len(content) < records.MESSAGE_HEAD.size - RECORD_HEAD.size:
-        raise DamageError("a message is too short")
+        raise DamageError(f"a message record of {len(content)} bytes is too short")
 
 
 def _check_message_index(content: memoryview) -> None:
@@ -250,7 +250,7 @@ class _Blocks:
     _rate_hz: float | None = None
 
     def add(self, table: Table) -> None:
-        """Count a recovered block of scans."""
+        """Count a recovered block of scans; blocks must be added in the order of recording."""
         self._found.append((table.stamp_ns, len(table.rows)))
         self._rate_hz = self._rate_hz or scan_rate_hz(table)
 
@@ -303,7 +303,8 @@ class FileReport:
     def missing_s(self) -> float | None:
         """Duration of the scans that are missing before, between and after the recovered ones [s of rig time].
 
-        Before and after, the duration follows from the first and last log time in the index; None without an index.
+        Before and after, the duration follows from the first and last log time in the index, which are rig time. The
+        result is None without an index.
         """
         if self.expected is None:
             return None
@@ -527,8 +528,8 @@ def _record(source: Path, report: RecoverReport, earlier: Recovered | None) -> R
 def _files(path: Path, report: RecoverReport) -> list[Path]:
     """Return the MCAP files to recover: `path` itself if it is a file, or those that its `metadata.yaml` lists.
 
-    Without a `metadata.yaml` they are all files in the directory. If it cannot be read, or lists a missing file, they
-    are these as well, and the report lists the reason as a damage.
+    Without a `metadata.yaml`, they are all MCAP files in the directory, in the order of the numbers in their names. The
+    same files are returned if it cannot be read or lists a missing file; the report then lists the reason as a damage.
 
     Raises:
         RecordingError: there is no MCAP file.
@@ -662,14 +663,15 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless the open chunk that it contains was completed in the recording.
+        """Yield the messages of the tail, unless the recording contains them already.
 
-        In that case the last intact chunk of the recording has the same messages. The tail states the size of the
-        recording when the open chunk began: the chunk was completed if an intact chunk begins there or later. If the
-        tail does not state it, the chunk counts as completed if the last intact chunk has the tail's first message.
+        The tail is a file next to the recording (`*.mcap.tail`) with the messages of the chunk that was open. If that
+        chunk was completed, the last intact chunk of the recording has the same messages. The tail states the size of
+        the recording when the open chunk began: the chunk was completed if an intact chunk begins there or later. If
+        the tail does not state it, the chunk counts as completed if the last intact chunk has the tail's first message.
 
         Args:
-            last: offset of the last intact chunk of the recording.
+            last: offset of the last intact chunk of the recording; -1 if there is none.
             newest: keys of the messages in that chunk.
         """
         tail = tail_of(self.path)

@@ -56,7 +56,10 @@ class Checksums:
         )
 
     def __str__(self) -> str:
-        """Return how many parts carry a checksum, as a clause for the verdict of `info` if all checksums match."""
+        """Return a clause for the verdict of `info`, which uses it if no checksum was wrong.
+
+        It is `every checksum fits`, or says how many chunks and attachments carry a checksum.
+        """
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside
         if not checked and parts:
@@ -106,7 +109,9 @@ def _check_data_section(source: McapSource) -> bool:
         while position < end:
             part = os.pread(source.fd, min(_READ_BYTES, end - position), position)
             if not part:
-                raise DamageError(f"{source.path} is shorter than its index says")
+                raise DamageError(
+                    f"{source.path} is shorter than its index says; impact-rig recover saves its intact chunks"
+                )
             found, position = zlib.crc32(part, found), position + len(part)
     if found != crc:
         raise DamageError(
@@ -130,6 +135,8 @@ class Examination:
 
 def examine(run: Run) -> Examination:
     """Read every record of a recording, and compare it with the index, statistics, definitions and digests of its file.
+
+    Definitions are those of topics and of their types: MCAP channels and schemas.
 
     Raises:
         RecordingError: a part is damaged.

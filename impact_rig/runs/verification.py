@@ -367,7 +367,7 @@ def _reset_ns(following: JournalEntry | None) -> int | None:
 def _next(again: Resimulation) -> Block | None:
     """Return the next block of a re-simulation; None if the recording lacks an input that the simulation needs for it.
 
-    This can happen near a reset, where inputs of the time after it need not be recorded.
+    This can happen near a reset, because a block may extend beyond it, to a time whose inputs need not be recorded.
     """
     try:
         return next(again.blocks)
@@ -376,9 +376,9 @@ def _next(again: Resimulation) -> Block | None:
 
 
 def _is_missing(block: Block, reset_ns: int) -> bool:
-    """Return whether the rig must have published a re-simulated block before a reset, at `reset_ns`.
+    """Return whether a re-simulated block that was not recorded is missing, since it was published before a reset.
 
-    If the block is not recorded, it is then missing. The rig simulates whole ticks of 10 ms, and a reset drops scans
+    `reset_ns` is the stamp of the reset [ns]. The rig simulates whole ticks of 10 ms, and a reset drops scans
     that do not fill a block yet. A block was therefore published if the tick in which it ends was simulated before the
     reset. A block that a fault withholds is never missing.
     """
@@ -393,8 +393,8 @@ def _missing(block: Block, compared: int) -> Verification:
 def _difference(logged: Table, again: Table) -> str:
     """Return the first difference between a recorded and a re-simulated table as text; empty if they are equal.
 
-    They differ in stamp or number of rows, by a missing column, or in a value; of a value the text has the stamp, the
-    row, the column and both values.
+    They differ in stamp or number of rows, by a missing column, or in a value. If a value differs, the text has the
+    stamp, the row, the column and both values.
     """
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (
@@ -453,13 +453,14 @@ class _Recorded:
     def begin(self, start_ns: int, ended_ns: int, *, is_restarted: bool) -> None:
         """Begin to compare the messages of the next journal.
 
-        If the journal starts before the previous one ended, the rig was restarted. Remaining messages of the previous
-        rig, with stamps from its end on, are then left out.
+        If the journal starts before the previous one ended, the rig was restarted before it. Remaining messages of the
+        previous rig, with stamps from its end on, are then left out.
 
         Args:
             start_ns: stamp of the first scan of the journal [ns].
             ended_ns: end of the scans of the previous journal [ns].
-            is_restarted: whether a start of another rig, not a reset, follows this journal; stamps may then go back.
+            is_restarted: whether the rig is restarted (not reset) at the end of this journal, so that later stamps may
+                be earlier than those of this journal.
         """
         if start_ns < ended_ns:
             while self.coming is not None and self.coming[0] >= ended_ns:
@@ -470,8 +471,8 @@ class _Recorded:
     def _has_ended(self) -> bool:
         """Return whether no recorded message of this rig is left.
 
-        Either there is none at all, or the rig was restarted after this journal and the next stamp goes back. A reset
-        does not count, because stamps continue across it.
+        Either there is none at all, or the rig was restarted after this journal and the next message has an earlier
+        stamp than the last one. A reset is no restart, because stamps continue across it.
         """
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
@@ -861,8 +862,8 @@ class _OtherTopics:
 class _Monitor:
     """Comparison of the monitor of one channel: its recorded messages with the filtered scans of the re-simulation.
 
-    When the rate of the monitors changes, the rig restarts the filter, which then uses only later scans. The first
-    messages of a series without gaps are therefore not compared.
+    When the rate of the monitors changes, the rig restarts the filter, which then uses only later scans. Therefore, the
+    first `HALF_PERIODS` messages at a rate are not compared, nor those after each gap in the messages.
     """
 
     def __init__(self, run: Run, channel: str) -> None:

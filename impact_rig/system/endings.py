@@ -49,9 +49,11 @@ class SignalReceived(KeyboardInterrupt):
 class Ending:
     """Handler of SIGINT and SIGTERM for a program; until `run` is called, a signal ends the program immediately.
 
+    During `run`, the first signal raises `SignalReceived` in the main thread, and further signals have no effect.
+
     Args:
         name: name of the program, for the line printed when a signal arrives.
-        code: exit code for a signal by its number; default: 128 + number, as in shells.
+        code: function that returns the exit code for the number of a signal; by default 128 + number, as in shells.
     """
 
     def __init__(self, name: str, code: Callable[[int], int] = lambda number: 128 + number) -> None:

@@ -88,7 +88,8 @@ def read_bytes(path: Path, limit: int) -> bytes:
 def atomic_write(path: Path, *, replace: bool = True) -> Iterator[BinaryIO]:
     """Yield a new file, open for writing, and move it to `path` at the end of the `with` block.
 
-    If the block raises an error, the new file is removed and `path` stays as it was.
+    Its content is on the disk (fsync) before it is moved. If the block raises an error, the new file is removed and
+    `path` stays as it was.
 
     Args:
         path: path of the file.
@@ -243,8 +244,9 @@ def staged(directory: Path) -> Iterator[Path]:
 def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to types that JSON has, for output that other programs read.
 
-    NaN and infinite numbers become None, values of NumPy plain numbers and lists, bytes text, and values of all other
-    types the text that `str` gives.
+    NaN and infinite numbers become None, values of NumPy plain numbers and lists, and values of all other types the
+    text that `str` gives. Bytes become text (UTF-8, with U+FFFD for invalid bytes). Mappings and sequences are
+    converted with all that they contain.
     """
     if isinstance(value, (bool, int, str)) or value is None:
         return value
@@ -278,7 +280,7 @@ def translate_errors(what: str) -> Iterator[None]:
 def free_path(path: Path) -> Path:
     """Return `path`, or if it exists the first of `path_2`, `path_3`, … that does not exist.
 
-    Two runs that are named after the same second thus get different directories.
+    Two runs that are named after the same second thus get different directories. Nothing is created or reserved.
     """
     numbered = (path.with_name(f"{path.name}_{number}") for number in itertools.count(2))
     return next(found for found in itertools.chain([path], numbered) if not found.exists())
@@ -415,7 +417,10 @@ def holder(folder: str, name: str) -> int | None:
 
 
 def can_hold(folder: str, name: str) -> bool:
-    """Return whether the file of a lock can be opened or created, so that `hold` can find out if the lock is free."""
+    """Return whether the file of a lock can be opened, so that `hold` can find out if the lock is free.
+
+    The file is created if it does not exist.
+    """
     try:
         os.close(_open(folder, name))
     except OSError:
@@ -424,7 +429,7 @@ def can_hold(folder: str, name: str) -> bool:
 
 
 def lock_directory() -> Path:
-    """Return the directory of this user's locks: the same for all processes of the user in any environment.
+    """Return the directory of this user's locks, created if needed: the same for all processes in any environment.
 
     No other user can open its files, so no other user can hold a lock or create a link there.
 
@@ -469,7 +474,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def share_dir(package: Path = _PACKAGE) -> Path:
-    """Return the directory that contains `config/`, `launch/` and `package.xml`.
+    """Return the directory that contains `config/`, `launch/` and `package.xml`: the source tree or the installed one.
+
+    Args:
+        package: directory of the Python package.
 
     Raises:
         ImpactRigError: the package was copied without them.
@@ -485,7 +493,11 @@ def share_dir(package: Path = _PACKAGE) -> Path:
 
 
 def config_dir() -> Path:
-    """Return the directory `config/` with the configuration files of the package, such as `nominal.yaml`."""
+    """Return the directory `config/` with the configuration files of the package, such as `nominal.yaml`.
+
+    Raises:
+        ImpactRigError: the package was copied without it.
+    """
     return share_dir() / "config"
 
 

@@ -73,7 +73,7 @@ def fingerprint() -> int:
 
 
 def _processor() -> dict[str, str]:
-    """Return the system's description of the first processor, by name; empty without /proc/cpuinfo."""
+    """Return the lines of /proc/cpuinfo about the first processor, by key such as `model name`; empty without it."""
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -53,11 +53,12 @@ _BYTES = 52_400  # size of such a segment
 class Watch:
     """Context manager whose thread marks half-created shared-memory segments of Fast DDS as corrupt.
 
-    Fast DDS then recreates them instead of waiting forever for the killed process that left them.
+    Fast DDS then recreates them instead of waiting forever for the killed process that left them. A segment is marked
+    if it is half created in two successive checks.
 
     Args:
         directory: directory of the segments.
-        poll_s: interval between two checks [s].
+        poll_s: interval between two checks [s]; much longer than it takes to create a segment.
     """
 
     def __init__(self, directory: Path = SHARED, poll_s: float = POLL_S) -> None:

@@ -74,7 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Add the requirements that a test names to its properties, so that a JUnit file lists them, passed or failed."""
+    """Add the requirements that a test names to its properties, so that a JUnit file lists them even if it fails."""
     named = dict.fromkeys(str(name) for marker in item.iter_markers("requirement") for name in marker.args)
     item.user_properties += [("requirement", name) for name in named]
 

@@ -284,7 +284,8 @@ class LocalRigWithNodes(LocalRig):
         """Run no callback for messages of the topic `source` for this many blocks; the messages wait in their queues.
 
         The name of the topic has no leading slash, as for `prefer`, `duplicate` and `drop`. `TIMERS` as source holds
-        back the callbacks of all timers, `MESSAGES` those of all topics. A full queue loses its oldest message.
+        back the callbacks of all timers, `MESSAGES` those of all topics. A full queue loses its oldest message. A timer
+        that was due while it was held back runs once afterwards.
         """
         self._held[source] = max(self._held.get(source, 0), self._after(blocks))
 
