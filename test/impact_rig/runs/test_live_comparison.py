@@ -299,7 +299,7 @@ HOSTILE = {
     "no calibration": ("daq/info", lambda rows: None, "daq/info"),
     "rate NaN": ("daq/info", lambda rows: value(rows, "rate", np.nan), "rate must be a number from 1"),
     "no rate": ("daq/info", lambda rows: without(rows, "rate"), "column 'rate' is missing"),
-    "no rows": ("daq/info", lambda rows: rows[:0], "daq/info must list at least one of the channels"),
+    "no rows": ("daq/info", lambda rows: rows[:0], "daq/info must list one or more of the channels"),
     "no laser": ("daq/scan", lambda rows: without(rows, "laser"), "daq/scan lacks the column laser"),
     "no drive": ("shaker/applied", lambda rows: without(rows, "frequency"), "column 'frequency' is missing"),
 }
