@@ -323,7 +323,7 @@ class Rig:
         """Return the rig time at which the next `blocks` blocks will be complete [ns].
 
         Args:
-            blocks: number of blocks, from the first one on that `advance` has not returned.
+            blocks: number of blocks, of which the first is the next one that `advance` returns.
         """
         return self._stamp(self._next_scan + blocks * self.config.daq.block_scans)
 
@@ -450,6 +450,9 @@ class Rig:
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
         """Apply a command to the drive at the frontier.
 
+        A new amplitude is reached by a ramp of `shaker.ramp_s`, a new frequency at once. Each call, also one without
+        values, restarts the command timeout.
+
         Args:
             frequency_hz: new frequency [Hz], for a sine only; None leaves it unchanged.
             amplitude: new amplitude, peak (rms for random drive), in A, m or V by `drive.kind`, not for a stream. None
@@ -464,7 +467,9 @@ class Rig:
         """
         self._refuse_if_stopped()
         if self._generator.stream is not None:
-            raise CommandError("the drive is a stream: it accepts samples on shaker/waveform, no frequency or current")
+            raise CommandError(
+                "the drive is a stream: it accepts samples on shaker/waveform, no frequency or amplitude"
+            )
         if frequency_hz is not None:
             if self._drive.waveform != "sine":
                 raise CommandError(f"the drive is {self._drive.waveform}: it accepts no frequency, only an amplitude")
@@ -528,8 +533,8 @@ class Rig:
         if abs(off_ns) * rate * 4 > NS_PER_S:
             self._refused_blocks += 1
             raise CommandError(
-                f"the stamp of a block of samples must be the time of its first sample, with {rate} samples per second "
-                f"from {self.start_ns} ns on: {stamp_ns} ns is {off_ns} ns off the nearest sample"
+                f"the stamp of a block of samples must be the time of its first sample, {self.start_ns} ns + k/{rate} "
+                f"s ± {0.25 / rate:.3g} s, got {stamp_ns} ns, which is {off_ns} ns off the nearest sample"
             )
         return sample
 
@@ -597,9 +602,9 @@ class Rig:
     def reset(self) -> None:
         """Start again at the frontier with the present configuration: from scan 0, with all bodies at rest.
 
-        The drive starts with its configured frequency and amplitude, injected faults are gone, and a base locked by
-        `pluck` is released. Scans measured but not yet returned in a block are dropped. Stamps continue, so none is
-        used twice.
+        The drive starts with its configured frequency and amplitude, injected faults are gone, planned ones start
+        again, and a base locked by `pluck` is released. Scans measured but not yet returned in a block are dropped.
+        Stamps continue, so none is used twice.
 
         Raises:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
@@ -641,7 +646,7 @@ class Rig:
         self._latch(reason)
 
     def clear_trip(self) -> None:
-        """Release a shaker that `stop` or a trip has latched; its amplitude stays zero until the next command."""
+        """Release a shaker that `stop` or a trip has latched; it stays at zero until the next command or samples."""
         self._add_entry(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched, self._tripped = None, frozenset()
@@ -668,8 +673,9 @@ class Rig:
         """End instrument faults at the first scan that is not measured yet.
 
         Args:
-            number: number of the fault, as returned by `inject`; None ends all faults. The number of a fault that has
-                already ended is allowed and has no effect.
+            number: number of the fault, as returned by `inject`; None ends all faults, also planned ones. A fault that
+                has not begun then never acts. The number of a fault that has already ended is allowed and has no
+                effect.
 
         Raises:
             CommandError: no fault of this number was planned or injected since the start or reset.

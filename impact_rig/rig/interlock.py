@@ -189,8 +189,8 @@ def largest_travel(position: Reals, velocity: Reals, spacing_s: float) -> float:
     """Return the largest |position| [m] of a sampled motion, also between the samples.
 
     Position [m] and its rate, velocity [m/s], have shape (n,). The samples are `spacing_s` [s] apart, so close that the
-    velocity changes its sign at most once between two of them. Between two samples the position is the cubic through
-    both ends, start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1.
+    velocity changes its sign at most once between two of them. Between two samples the position is the cubic with the
+    position and velocity of each: start + x (start_rate + x (quadratic + cubic x)), x = 0 … 1, by names in the code.
     """
     found = abs(position[0])
     for i in range(position.shape[0] - 1):

@@ -43,7 +43,7 @@ SAMPLE_DECIDING = frozenset({"output.command_timeout_s"})  # affects samples, al
 
 
 class InputKind(Word):
-    """Kind of a journal entry, such as a command, a reset or a fault; `doc` is the meaning of its other members."""
+    """Kind of a journal entry, such as a command, a reset or a fault; `doc` says what its other members then mean."""
 
     START = "start", "Scan 0 of a new rig; text = version of impact_rig, values = what differs from the default rig."
     RESET = "reset", "Scan 0 of the same rig after a reset; text and values as for `start`."
@@ -245,7 +245,10 @@ class Journal:
         self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Start a new journal, whose scan 0 has the stamp `start_ns`; older entries not yet taken stay in the queue."""
+        """Number the next entries from 0 again, and count scans from one with the stamp `start_ns` [ns].
+
+        Older entries that `take` has not returned yet stay in the queue.
+        """
         self._start_ns, self._sequence = start_ns, 0
 
     def add(self, sample: int, kind: InputKind, **members: Any) -> None:
@@ -349,7 +352,7 @@ def is_mechanics(name: str) -> bool:
 
 
 def takes_effect(name: str) -> str:
-    """Return when a new value of the parameter `name` takes effect on a running rig, as text for users."""
+    """Return when a new value of the parameter `name`, if it can be changed, takes effect on a running rig, as text."""
     if name == PLANNED:
         return "next command instant, for added or removed lines"
     if name.startswith(AT_RESET):
@@ -365,7 +368,7 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
     """Return `config` with the seed and the planned faults of `present`.
 
     Running instruments use these two only at a reset and refuse a change, so a new configuration for them must keep
-    both.
+    both. The rig itself injects and clears the faults of changed lines (`PlannedFaults`).
     """
     return attrs.evolve(
         config,
@@ -383,7 +386,7 @@ class FaultChange:
 
 
 class PlannedFaults:
-    """Record of which fault each line of `instruments.faults.planned` has started, so that it ends with its line.
+    """Record of which fault each line of `instruments.faults.planned` has started, to end it when the line is removed.
 
     Args:
         lines: planned faults at the start or reset, which the instruments have numbered from 1 in this order.

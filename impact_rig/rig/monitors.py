@@ -146,14 +146,15 @@ def _weigh(
     Args:
         rows: rows of scans as bytes.
         layout: bytes per row, byte position of the status in a row, and byte positions of the channels.
-        least: number of the first scan whose window may still be incomplete; windows of earlier scans are ignored.
+        least: number of the first scan that can be the centre of an unfinished window; windows around earlier scans are
+            ignored.
         first: number of the first scan of the block.
         step: scans per monitor period.
         weights: weights of a window's scans.
-        sums: for each window the sum of the weights used so far, and the weighted sums of the readings by channel.
-            Window k is in row k modulo the number of rows.
+        sums: for each window the sum of the weights used so far, which stays below 1 in a truncated window, and for
+            each channel the weighted sum of its readings. Window k is in row k modulo the number of rows.
         statuses: for each window the status bits of the scans between the previous and the next monitor instant.
-        done: output for each window that ends in the block: number of its scan, status, means by channel.
+        done: output for each window that ends in the block: number of the scan at its centre, status, means by channel.
     """
     half = weights.shape[0] // 2
     end = first + rows.shape[0] // layout[0]

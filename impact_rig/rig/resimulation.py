@@ -42,7 +42,7 @@ class Sent(NamedTuple):
     Attributes:
         stamp_ns: rig time of the first sample [ns].
         samples: samples [A, m or V by `drive.kind`], shape (n,).
-        received_ns: rig time at the end of the newest scans that had been received when the block was received [ns].
+        received_ns: rig time at which the recorder received the block [ns]: that of the last scan recorded before it.
         is_doubtful: whether a reset may have discarded the block. If so, the block is used only for samples that no
             other block contains.
     """

@@ -47,12 +47,12 @@ def monitor_step(rate_hz: int, monitor_hz: float) -> int:
 
 
 class Scans(NamedTuple):
-    """Selection of scans at equal distances.
+    """Selection of every `step`-th scan.
 
     Attributes:
         first: index of the first selected scan, since the start or reset.
         step: number of scans from one selected scan to the next.
-        rate_hz: scans per second.
+        rate_hz: rate of all scans, scans per second.
     """
 
     first: int
@@ -95,8 +95,8 @@ def state_rows(
 def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Reals) -> None:
     """Fill `rows` with the rows of truth/impacts for the impacts `found` in a motion, and `ends` with their ends.
 
-    The times in `rows` and `ends` count from scan 0 in seconds of the scan clock, of which a second of motion has
-    `clock_per_motion`. The durations of the impacts are in seconds of motion.
+    The times in `rows` and `ends` count from scan 0 in seconds of the scan clock. A second of motion lasts
+    `clock_per_motion` seconds of that clock. The durations in `rows` are in seconds of motion.
     """
     for i in range(found.shape[0]):
         impact, row = found[i], rows[i]

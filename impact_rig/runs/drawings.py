@@ -118,7 +118,8 @@ def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, 
 def measured_curves(rows: NDArray[np.void]) -> dict[str, NDArray[np.void]]:
     """Return the settled rows of `transmissibility/table` by label, one curve per gap and direction of the sweep.
 
-    A gap that was measured at a single frequency gives no curve and is left out.
+    A gap that was measured at one frequency only, in whatever direction, is left out. The rows of a curve keep their
+    order.
     """
     rows = rows[rows["settled"] == 1.0]
     curves: dict[str, NDArray[np.void]] = {}

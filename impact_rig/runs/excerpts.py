@@ -75,8 +75,8 @@ class Excerpt:
 def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     """Return the scans of the last settled measurement of a run; without a settled one, those at the end of the run.
 
-    The length of the latter is `UNSETTLED_S` or more. `found` are the findings of the analysis, one for each block of
-    scans (`reanalysis.analyze`).
+    The latter last for `UNSETTLED_S`, `UNSETTLED_CYCLES` or `UNSETTLED_SCANS`, whichever is longest. `found` are the
+    findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_DRAWN` contiguous scans there.
@@ -220,7 +220,7 @@ def response_of(
 
 
 def need_motions(run: Run, rows: NDArray[np.void]) -> None:
-    """Check that scans of a run contain the channels `laser` (x_1) and `base` (x_b), of which the ratio is measured.
+    """Check that scans of a run contain the channels `laser` (x_1) and `base` (x_b), whose ratio is measured.
 
     Raises:
         RecordingError: a channel is missing; the message names it.

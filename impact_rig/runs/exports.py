@@ -86,7 +86,7 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
     """Write batches of columns to the new file `target`, in the format of its suffix, and return its path.
 
-    `batches` is a function that returns the batches, all with the same columns; it is called once `target` was checked.
+    `batches` is a function that returns the batches, all with the same columns. It is called after `target` is checked.
 
     Raises:
         RecordingError: the suffix is unknown, or the file exists or cannot be written.
@@ -198,6 +198,8 @@ def _write_uff(file: BinaryIO, batches: Iterator[Columns]) -> None:
 
 def _datasets(columns: Columns) -> list[dict[str, object]]:
     """Return the datasets of a universal file, as dictionaries for pyuff, from the numeric columns of a table.
+
+    Columns of text are left out. The values get no unit.
 
     Raises:
         RecordingError: the columns give no function of time or frequency with at least two points.

@@ -185,9 +185,9 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
 
 
 def _received_ns(run: Run, topic: topics.Topic, number: int) -> int:
-    """Return the rig time at which message `number` (from 0) of a topic was received: that of the last scan before it.
+    """Return the rig time [ns] at which message `number` (from 0) of a topic was received.
 
-    The time is in ns, and 0 if no scan precedes the message.
+    It is the time of the last scan that was recorded before the message, or 0 without such a scan.
     """
     name, scan = run.resolve(topic), run.resolve(topics.SCAN)
     newest_ns, count = 0, 0
