@@ -66,7 +66,8 @@ def study_rows(directory: Path) -> Tables | None:
 def campaign_points(directory: Path) -> Tables | None:
     """Return the table of the campaign in a directory, as `points`; None if the directory contains no campaign.
 
-    For a universal file (`.uff`) the columns are those of DT over the frequency, else those of `points.csv`.
+    The table is a function of the suffix of the file to write. For a universal file (`.uff`) the columns are those of
+    DT over the frequency, else those of `points.csv`.
     """
     if not (directory / CAMPAIGN_FILE).exists():
         return None

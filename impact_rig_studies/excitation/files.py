@@ -158,7 +158,7 @@ def history(
             )
         scale *= to_si
     if rate_hz < 1:
-        raise ConfigError(f"the rate of the samples must be a whole number of Hz above 0, got {rate_hz}")
+        raise ConfigError(f"the scan rate of the rig (--scan-rate) must be a whole number of Hz above 0, got {rate_hz}")
     if not len(values) or not np.all(np.isfinite(values)):
         count = np.count_nonzero(~np.isfinite(values))
         problem = f"{count} of its {len(values)} values are not finite" if len(values) else "it has no values"
@@ -184,7 +184,9 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
     if not seconds > 0.0:
-        raise RecordingError(f"{path}: {len(rows)} scans in {seconds:g} s are too few to play: at least two are needed")
+        raise RecordingError(
+            f"{path}: the complete run has {len(rows)} scans in {seconds:g} s, too few to play; record at least two"
+        )
     rate_hz = (len(rows) - 1) / seconds
     for table, after in itertools.pairwise(tables):
         if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:

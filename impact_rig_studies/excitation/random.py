@@ -90,7 +90,7 @@ class RandomPlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Reached:
-    """Result of random control after a loop: spectra requested and reached, rms, clipping, coherence, kurtosis.
+    """Result of random control after a loop: spectra, errors, rms of the drive, coherence, kurtosis, clipped samples.
 
     Densities are in unit of the response² / Hz.
     """
@@ -148,7 +148,7 @@ class _Drive:
         """Return the next samples of the drive, shape (frames · (length // 2),): each frame adds half of its length.
 
         Args:
-            amplitude: peak amplitude at each frequency line of a frame, shape (length // 2 + 1,).
+            amplitude: peak amplitude at each frequency line of a frame [A], shape (length // 2 + 1,).
             frames: number of new frames, each of which overlaps with the one before by a half.
         """
         half = self._length // 2

@@ -131,11 +131,11 @@ FADE = 0.8  # fraction of the upper band edge from which components are attenuat
 
 
 def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) -> Real:
-    """Return the motion that a sensor measured: its reading, corrected for lag, skew, high-pass and derivative.
+    """Return the motion that a sensor measured: its reading, corrected for lag, skew and high-pass of the sensor.
 
-    The result is limited to frequencies up to an edge, because the correction amplifies noise. It is the displacement
-    [m] for the channels of the bases, also if their sensors measure a derivative of it, and the acceleration [m/s²] for
-    the channel "accelerometer".
+    For the channels of the bases it is the displacement [m]: the reading of a sensor of velocity or acceleration is
+    integrated. For the channel "accelerometer" it is the acceleration [m/s²]. The result is limited to frequencies up
+    to an edge, because the correction amplifies noise.
 
     Args:
         values: contiguous readings of a channel, which begin and end at rest, shape (n,).

@@ -138,9 +138,9 @@ def half_sine_spectrum(peak: float, duration_s: float, frequency_hz: Real) -> Re
 class Shocked:
     """Result of a shock test after a trial: requested shock, and the best shock of the inferior base so far.
 
-    The base's motion is measured by its displacement sensor. An error up to its floor may be caused by this sensor. The
-    floor is the largest error among `DRAWS` simulated records of the sensor's noise, plus the effect of twice the
-    standard uncertainty of the sensor's gain.
+    The base's motion is measured by its displacement sensor. Each error has a floor: an error that is not larger may be
+    caused by this sensor alone. The floor is the largest error among `DRAWS` simulated records of the sensor's noise,
+    plus the effect of twice the standard uncertainty of the sensor's gain.
     """
 
     followed: Replicated  # result of replicating the displacement, which contains the drive

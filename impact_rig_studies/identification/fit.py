@@ -331,8 +331,12 @@ def _step(residual: Real, jacobian: Real, bent: Real) -> tuple[Real, Real]:
     """Return the next Gauss-Newton step of a fit: the changes of the log constants, and of the nuisance parameters.
 
     The step is damped along directions that the data hardly determine, and zero along those on which they contain
-    nothing. It is shortened so that no value changes by more than `LARGEST_STEP`. The arguments are results of
-    `_linear`.
+    nothing. It is shortened so that no value changes by more than `LARGEST_STEP`.
+
+    Args:
+        residual: whitened residuals, shape (m,).
+        jacobian: their derivatives by the log constants, shape (m, 7).
+        bent: their derivatives by the nuisance parameters, shape (m, 6).
     """
     damped = _damping(bent)
     whole = np.concatenate([np.concatenate([jacobian, bent], axis=1), damped])
@@ -396,7 +400,10 @@ class _Held:
         return self.misfit + 2.0 * float(np.log(np.abs(np.diag(np.linalg.qr(whole, mode="r")))).sum())
 
     def covariance(self) -> Real:
-        """Return the covariance matrix of the log constants at this fixed e with free nuisance parameters, (7, 7)."""
+        """Return the covariance matrix of the log constants at this fixed e with free nuisance parameters, (7, 7).
+
+        Along directions that the data do not determine, the variance in it is 0.
+        """
         basis, _ = np.linalg.qr(self.bent)
         matrix = self.jacobian - basis @ (basis.T @ self.jacobian)
         size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-30)
@@ -624,7 +631,9 @@ class _Profile:
         """Simulate the settled motion at a gap; return it, the derivatives of its `log_ratio`, and their roughness.
 
         The derivatives are those by the log constants and, last, by e; for the roughness see `SettledRig.slopes`. Both
-        take most of the time, so they are reused for later motions of the same kind with nearly the same e and mass.
+        take most of the time, so they are reused for later motions at this gap with nearly the same e and mass m_1.
+        These must have the same period and number of impacts, or be irregular like the first one. `gain` is the
+        relative error of the measured current.
         """
         force = NAMES.index("K_f")
         here = SettledRig(self._place(gap_m, theta, gain, e))
@@ -757,7 +766,8 @@ def _apart(one: Real, other: Real) -> Real:
 def _prior(measured: Measured) -> Real:
     """Return the standard uncertainty of each parameter in `NUISANCES` before the fit, shape (6,).
 
-    Those of the sensors come from their certificate, that of DT without sphere from the noise of its measurement.
+    Those of the sensors come from their certificate, that of DT without sphere from the noise of its measurement. The
+    latter is 0 without reductions. A parameter with an uncertainty of 0 counts as exactly 0.
     """
     without = measured.reduced.u_without if measured.reduced else 0.0
     return np.array([*measured.gains.u, without])

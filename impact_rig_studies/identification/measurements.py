@@ -139,7 +139,8 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
     """Return the points of a frequency curve without the sphere as `SineData`, from the first measurement of each.
 
-    The uncertainties of the amplitudes are those of noise alone, without the calibration errors `gains`.
+    All `points` are used, so they must be settled. The uncertainties of the amplitudes are those of noise alone,
+    without the calibration errors `gains`.
     """
     rows = np.concatenate([point.rows[:1] for point in points])
     u = np.array([_noise(point, gains) for point in points])

@@ -76,7 +76,8 @@ CURRENT_DRIVE = "current"  # value of `drive.kind`
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
     """Simulate a rig with its sphere from rest until its motion has settled, and return this motion.
 
-    DT without the sphere, to which the result relates DT, is computed in closed form. For the arguments see `place_of`.
+    An irregular motion is averaged over many cycles, see `SettledMotion.u`. DT without the sphere, to which the result
+    relates DT, is computed in closed form. For the arguments see `place_of`.
 
     Raises:
         SimulationError: the motion cannot be simulated.

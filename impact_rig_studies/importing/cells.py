@@ -76,7 +76,10 @@ def number(cell: str, decimal: str = ".") -> float | None:
 
 
 def is_unclear(cell: str) -> bool:
-    """Return whether the value of a cell depends on the decimal sign, as for `1,234`: 1.234 with a comma, else 1234."""
+    """Return whether a cell such as `1,234` or `1.234` has two values, depending on the decimal sign of its table.
+
+    `1,234` is 1.234 if the decimal sign is a comma, and 1234 if it is a point; for `1.234` it is the other way round.
+    """
     return _UNCLEAR.fullmatch(cell.strip()) is not None
 
 
@@ -99,11 +102,11 @@ def half_digit(cell: str) -> float:
 def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tuple[str, bool]:
     """Return the decimal sign of a table, `.` or `,`, and whether its cells are evidence of it.
 
-    Cells such as `0,5` or `1.234,5` are evidence. A cell such as `1,234` (or `1.234`) alone is not, but whole numbers
-    without a sign in the same column decide about it. If all of these are below 1000, the comma in `1,234` separates
-    groups of digits. If one is above 999, the comma is the decimal sign. If commas separate the cells and no cell
-    contains one, the decimal sign is a point. Without evidence it is a comma if cells contain commas and no points,
-    else a point. If the evidence is contradictory, it is a point.
+    Cells such as `0,5` or `1.234,5` are evidence. A cell such as `1,234` (or `1.234`) is evidence only together with
+    whole numbers without comma and point in the same column. If all of these are below 1000, the comma in `1,234`
+    separates groups of digits. If one is above 999, the comma is the decimal sign. If commas separate the cells and no
+    cell contains one, this is evidence of a point. Without evidence the decimal sign is a comma if cells contain commas
+    and no points, else a point. If the evidence is contradictory, it is a point.
 
     Args:
         columns: cells of each column.

@@ -76,10 +76,10 @@ def convert(
     Args:
         source: content of the file.
         mapping: assignment of its signals to channels.
-        drive: table of commands with the columns `time` or `stamp_ns`, `frequency` and, if known, `current`. None means
-            that the mapping states the frequency, or if it does not, that it is found in the data.
-        sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence, and
-            what neither states is estimated from the data.
+        drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current`
+            [A peak]. None means that the mapping states the frequency, or if it does not, that it is found in the data.
+        sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence.
+            Resolution, skew and rate that neither states are estimated from the data; all other properties are ideal.
 
     Raises:
         ConfigError: no channel is mapped, a mapped signal does not exist, a unit is not possible for its channel, times
@@ -237,7 +237,7 @@ def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[
         if len(one.values) != len(first.values):
             raise RecordingError(
                 f"{source.path}: {name} has {len(one.values)} values, but {first_name} {len(first.values)}; all "
-                "channels need the same number"
+                "channels need the same number: assign signals of equal length (--channel), resampling does not help"
             )
     skews = {name: one.abscissa.start - first.abscissa.start for name, one in signals.items()}
     return first.abscissa, len(first.values), skews
@@ -256,7 +256,10 @@ def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> 
 
 
 def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the values as rows of `daq/scan`; `status` has a bit for each reading outside the range of its channel."""
+    """Return the values as rows of `daq/scan`.
+
+    `status` has a bit for each reading that is at an end of its channel's range or outside of it.
+    """
     names = tuple(info["name"].astype(str))
     columns = (topics.SCAN.fields[0], *(Column(n, si_units[n], "") for n in names), topics.SCAN.fields[1])
     rows = np.zeros(len(found[names[0]]), row_type(columns))
@@ -379,7 +382,9 @@ def _commands(
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
         times = None if frequency is None else frequency.time_s
         if frequency is None or times is None:
-            raise ConfigError(f"{drive.path} must have the columns `time` or `stamp_ns`, and `frequency`")
+            raise ConfigError(
+                f"{drive.path} must have a column `frequency` [Hz], and a column of times, `time` or `stamp_ns`"
+            )
         amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
         if not np.all(np.isfinite(times)):
             wrong = int(np.argmin(np.isfinite(times)))

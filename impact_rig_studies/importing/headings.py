@@ -160,9 +160,9 @@ def _bracketed(text: str) -> tuple[str, str]:
 def is_units_row(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return whether a row of a table's heading contains units.
 
-    It does if its first cell is a label such as `units`. Otherwise it depends on the row `above`. If that has no empty
-    cell and begins with the name of a column of times or frequencies, a filled first cell decides alone: it must be a
-    unit of time or frequency. Else every filled cell must be a unit.
+    It does if its first cell is a label such as `units`. Otherwise every filled cell must be a unit. There is one
+    exception: if the row `above` has no empty cell and begins with the name of a column of times or frequencies, a
+    filled first cell decides alone. It must be a unit of time or frequency.
     """
     filled = [cell for cell in cells if cell.strip()]
     if filled and cells[0].strip().strip(":").lower() in _UNIT_LABELS:

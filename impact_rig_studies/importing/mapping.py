@@ -95,12 +95,12 @@ class Channel:
 
 def _above_zero(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 < value < math.inf:
-        raise ConfigError(f"frequency must be finite and above 0 Hz, got {value:g}")
+        raise ConfigError(f"the drive frequency (--frequency) must be finite and above 0 Hz, got {value:g}")
 
 
 def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 <= value < math.inf:
-        raise ConfigError(f"gap must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm")
+        raise ConfigError(f"the gap (--gap) must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm")
 
 
 @attrs.frozen(kw_only=True)
