@@ -84,7 +84,8 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         for row in reanalysis.newest_settled(tables):
             if math.isnan(row["gap"]):
                 raise ConfigError(
-                    f"{path.name}: its gap is unknown: state it (--gap, in the mapping, or by the file's name)"
+                    f"{path.name}: its gap is unknown: state it (--gap 6mm, gap_mm in --mapping, or in the "
+                    "file's name, such as gap_6mm.csv)"
                 )
             gap = _known(float(row["gap"]), {gap for gap, _ in found}, SAME_M)
             frequency = _known(float(row["frequency"]), {frequency for _, frequency in found}, SAME_HZ)

@@ -51,7 +51,7 @@ class AbscissaKind(enum.StrEnum):
 class Abscissa:
     """Times or frequencies at which a signal is given: evenly spaced, or listed one by one.
 
-    Times are in seconds, independent of the unit in the file, which `unit` keeps.
+    Times are always in seconds, all other values in the unit of the file.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE

@@ -41,9 +41,10 @@ WRITTEN = (topics.INFO, topics.APPLIED, topics.NOTES, topics.SCAN, topics.TRANSM
 
 
 def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> Path:
-    """Write an imported measurement as a run into a new or empty directory, and return the directory.
+    """Write an imported measurement as a run into a directory, and return the directory.
 
-    The run also contains the results of the analysis of its scans.
+    The run also contains the results of the analysis of its scans. A missing directory is created. An existing one may
+    contain other files, but no recording.
 
     `clock_ns` is the time of recording that the run states [ns since 1970]; None means now.
 

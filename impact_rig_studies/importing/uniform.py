@@ -127,9 +127,12 @@ def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
     """Return the exact rate [Hz] that most likely underlies a measured one within its uncertainty.
 
-    It is the whole number within the uncertainty, if there is only one or it equals the measured rate. Otherwise it is
-    a usual clock rate (`CLOCKS_HZ`) divided by a whole number. If none of these is within the uncertainty, it is the
-    nearest whole number there, or else the measured rate.
+    It is the first of these that exists within the uncertainty:
+
+    1. the only whole number there, or the whole number that equals the measured rate;
+    2. a usual clock rate (`CLOCKS_HZ`) divided by a whole number;
+    3. the nearest whole number;
+    4. the measured rate itself.
     """
     low, high = measured_hz - uncertainty_hz, measured_hz + uncertainty_hz
     whole = round(measured_hz)
@@ -236,7 +239,8 @@ def _explained(abscissa: Abscissa) -> str:
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
     """Return the scan rate [Hz] of listed times [s], and the number of each scan, with gaps for missing ones.
 
-    For times that will be `resampled`, the rate is that of their median step, and the scans are numbered without gaps.
+    If the times are not uniform but will be `resampled`, the rate is that of their median step, and the scans are
+    numbered without gaps.
 
     Raises:
         ConfigError: a time is not finite, the times do not increase, or they are not uniform and not `resampled`.

@@ -42,7 +42,7 @@ With few windows the limit is higher, because their uncertainty is uncertain its
 
 
 class Exponent(NamedTuple):
-    """Largest Lyapunov exponent of a motion, per return to the section: positive for a chaotic motion."""
+    """Largest Lyapunov exponent of a motion, per return (one step of the map `f`): positive for a chaotic motion."""
 
     value: float  # mean over the windows; NaN if the sphere is in contact at `_OUT_OF_SIGHT` returns in a row
     uncertainty: float  # standard uncertainty of value, from the scatter of the windows; NaN with it

@@ -78,7 +78,7 @@ FAILED = "failed"  # regime of a point whose motion could not be simulated
 
 @attrs.frozen(kw_only=True)
 class Settings:
-    """Criteria by which the motion at a point of a map counts as settled and periodic, and lengths of its record."""
+    """Criteria by which the motion at a point of a map counts as settled and periodic, and numbers of drive cycles."""
 
     settle_tolerance: float = quantity(
         5e-4,
@@ -174,7 +174,8 @@ class MapRig:
     def carry(self, config: RigConfig) -> None:
         """Continue with another configuration: bases and sphere keep their motion, as for a slowly varied parameter.
 
-        A sphere outside of the new gap is placed at its wall. A sphere in contact with a wall returns to its start.
+        A sphere outside of the new gap is placed at the nearer wall. The motion of a sphere in contact with a wall
+        cannot be kept: it returns to its start, at rest.
         """
         if config is self._config:
             return
@@ -285,9 +286,9 @@ class MapRig:
     def _parting(self, frequency_hz: float, amplitude: float, record: _Record) -> int:
         """Return the sign of the largest Lyapunov exponent of the present motion.
 
-        It is 1 if neighbouring motions separate, -1 if they approach one another, and 0 if neither is certain. It is
-        also 0 for a `record` without impacts, or if the sphere is in contact. The rig is returned to its present state
-        afterwards.
+        It is 1 if neighbouring motions certainly separate, -1 if they certainly approach one another, and otherwise 0.
+        It is also 0 for a `record` without impacts, or if the sphere is in contact. The rig is returned to its present
+        state afterwards. `frequency_hz` and `amplitude` are those of `run_cycles`, at which the record was made.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -376,8 +377,9 @@ def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | No
 def _leaves(record: _Record, frequency_hz: float) -> bool:
     """Return whether a motion is leaving a periodic orbit: its changes from period to period are small, but growing.
 
-    They must grow from each to the next of `_RISES` parts of the record, and be at most `_CLOSE` in the last one. The
-    changes of a chaotic motion do not grow steadily. While a motion leaves an orbit, neighbouring motions separate at
+    The end of the record is divided into `_RISES` parts. The largest change must be larger in each part than in the one
+    before, and at most `_CLOSE` times the mean amplitude in the last one. The changes of a chaotic motion do not grow
+    steadily. While a motion leaves an orbit, neighbouring motions separate at
     the rate at which it leaves, although it may settle later.
     """
     series = _series(record.last(_RISES * CHUNK), frequency_hz)

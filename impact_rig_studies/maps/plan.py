@@ -128,7 +128,7 @@ def _reading(row: Row) -> Reading:
 def measure_line(line: MapLine) -> list[Reading]:
     """Measure the points of a line by simulation, and return their readings in the order of `line.values`.
 
-    A point whose motion cannot be simulated has the regime `failed`.
+    How each point starts depends on `line.direction`. A point whose motion cannot be simulated has the regime `failed`.
     """
     base = from_flat(RigConfig(), line.changes)
     rig: MapRig | None = None
@@ -183,7 +183,7 @@ class MapPlan:
 
     @property
     def points(self) -> int:
-        """Number of measured points: grid points times `layers` (directions, or starts of the sphere)."""
+        """Number of points to measure: grid points times `layers` (directions, or starts of the sphere)."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     @functools.cached_property
@@ -352,7 +352,9 @@ def refuse_owned(key: str, name: str) -> None:
         ConfigError: names the key, and the key to use instead if there is one.
     """
     if name == "sphere.start" and key.startswith("axes."):
-        raise ConfigError(f"{key}: the start of the sphere cannot be an axis; use starts: [left, centre, right]")
+        raise ConfigError(
+            f"{key}: the start of the sphere cannot be an axis; use starts: [left, centre, right], or some of them"
+        )
     if name == "barriers.gap_m" and not key.startswith("set."):
         raise ConfigError(f"{key}: use gap_m instead of barriers.gap_m")
     if name == "drive.frequency_hz":

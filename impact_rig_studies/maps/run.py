@@ -68,7 +68,8 @@ class FinishedMap:
     def to_xarray(self) -> Any:
         """Return the map as an `xarray.Dataset` whose dimensions are its axes and `direction`.
 
-        If the plan lists several starts of the sphere, the last dimension is `start` instead of `direction`.
+        If the plan lists several starts of the sphere, the last dimension is `start` instead of `direction`. Points
+        that are not measured are NaN.
 
         Raises:
             ImpactRigError: xarray is not installed, or no point is measured yet.
@@ -79,7 +80,7 @@ class FinishedMap:
 
 
 def store(directory: str | Path) -> TaskStore[MapLine]:
-    """Return the store of a map's measured lines in its output directory."""
+    """Return the store of a map's measured lines in its output directory; only `TaskStore.prepare` creates files."""
     return TaskStore(Path(directory), "map", "lines", ("maps",))
 
 
@@ -106,6 +107,8 @@ def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
 
 def open_map(directory: str | Path) -> FinishedMap:
     """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
+
+    Points that are not measured yet are NaN.
 
     Raises:
         ConfigError: the directory is not that of a map.
@@ -144,7 +147,8 @@ def table(done: FinishedMap) -> tuple[list[str], list[list[object]]]:
 def _layer(plan: MapPlan, layer: str) -> dict[str, str]:
     """Return the values of the columns `direction` and, unless an axis sets it, `start` for a layer of a map.
 
-    A layer is a direction or a start of the sphere, see `MapPlan.layers`.
+    A layer is a direction or a start of the sphere, see `MapPlan.layers`. The `start` of a direction is that of the
+    plan's rig, and the `direction` of a start is reset.
     """
     found = {"direction": layer if layer in (UP, DOWN) else RESET}
     if not {POSITION, SPEED} & set(plan.axes):

@@ -171,7 +171,7 @@ class PhaseLock:
         frequency_hz: commanded frequency.
         current_a: commanded peak current.
         locked_ns: rig time of the first lock, or None.
-        u_gain: `Sample.u_gain` of the newest sample.
+        u_gain: `Sample.u_gain` of the newest sample; 0 before the first.
     """
 
     def __init__(self, plan: LockPlan) -> None:
@@ -363,7 +363,7 @@ class PhaseLock:
 def _turn_from_quarter(turned: complex) -> float:
     """Return φ' = phase of `turned` + 90° in radians, in (−π, π]; it is 0 at the resonance.
 
-    `turned` is the complex amplitude of the superior base over that of the reference.
+    `turned` is the complex amplitude of the superior base over that of the lock's reference (inferior base or current).
     """
     return cmath.phase(turned * 1j)
 
@@ -371,8 +371,8 @@ def _turn_from_quarter(turned: complex) -> float:
 def _detuning(turned: complex) -> float:
     """Return tan φ', limited to ±`STEEPEST`; it is positive if the resonance is above the drive frequency.
 
-    It is the detuning divided by the slope of the resonance. `turned` is the complex amplitude of the superior base
-    over that of the reference.
+    Multiplied by the slope of the resonance [Hz per tan φ'], it is the detuning: resonance minus drive frequency [Hz].
+    `turned` is that of `_turn_from_quarter`.
     """
     angle = _turn_from_quarter(turned)
     if abs(angle) >= math.atan(STEEPEST):

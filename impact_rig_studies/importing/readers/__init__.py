@@ -102,7 +102,7 @@ def format_of(path: Path, content: bytes) -> Format:
     """
     found = FORMATS.get(path.suffix.lower())
     if found is None:
-        raise RecordingError(f"{path}: its suffix must be one of {', '.join(FORMATS)}")
+        raise RecordingError(f"{path} cannot be imported: its suffix must be one of {', '.join(FORMATS)}")
     return MATLAB_7_3 if found is MATLAB_5 and hdf5.is_hdf5(content) else found
 
 

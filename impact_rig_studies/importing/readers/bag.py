@@ -185,6 +185,7 @@ class _Series:
 def _leaves(message: Any, prefix: str, unit: str = "") -> Iterator[tuple[str, tuple[float, str]]]:
     """Yield the numbers in a message: for each the dotted name of its field after `prefix`, and (value, unit).
 
+    An element of an array is `field[0]`, or `field[name]` if the message has a list `name` of the same length.
     Constants, covariances, stamps, texts, booleans, arrays of messages and arrays longer than `MOST_ELEMENTS` are left
     out. `unit` is that of the enclosing field, and applies to fields whose unit is unknown.
     """

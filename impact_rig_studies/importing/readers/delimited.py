@@ -290,12 +290,13 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
-    Lines count from 0. A column contains floats, or texts if it has words or times. The first column contains integers
-    if one of its numbers is a whole number of at least 2^53, such as a stamp.
+    Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times. The first
+    column contains integers if one of its numbers is a whole number of at least 2^53, such as a stamp.
 
     Raises:
         RecordingError: a row has another number of cells than the first one, or a cell in a column of numbers is not a
-            number; the message names the line, counted from 1. Or a column has numbers only in a part of its rows.
+            number; the message names the line, counted from 1. Or a column has numbers in some rows, and words or times
+            in others.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]

@@ -106,7 +106,8 @@ class Hdf5Tree:
 def _whole(dataset: Any) -> NDArray[Any]:
     """Return the complete content of a dataset.
 
-    It is read in slabs of at most `CHUNKS_AT_ONCE` chunks, because some programs write a chunk for each sample.
+    It is read in slabs of at most `CHUNKS_AT_ONCE` chunks: the library needs memory for each chunk of a request, and
+    some programs write a chunk for each sample.
     """
     counts = [-(-length // size) for length, size in zip(dataset.shape, dataset.chunks or dataset.shape, strict=True)]
     if math.prod(counts) <= CHUNKS_AT_ONCE:

@@ -53,13 +53,13 @@ class _Segment:
     rows: list[list[str]]
 
     def column(self, j: int, decimal: str) -> Real:
-        """Return the numbers in column j, with NaN for a cell that is missing or not a number."""
+        """Return the numbers in column j (from 0), with NaN for a cell that is missing or not a number."""
         texts = (row[j] if j < len(row) else "" for row in self.rows)
         values = (cells.number(text, decimal) for text in texts)
         return np.array([np.nan if value is None else value for value in values])
 
     def number(self, key: str, channel: int, decimal: str) -> float | None:
-        """Return the number that the header states for a channel under a key; None if it states none."""
+        """Return the number that the header states for a channel under a key; None if it states no number."""
         text = self.text(key, channel)
         return cells.number(text, decimal) if text else None
 
