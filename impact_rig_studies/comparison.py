@@ -445,7 +445,10 @@ def _gaps(rows: NDArray[np.void], known: RigConfig) -> Real:
 
 
 def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
-    """Return, as texts for the user, the data that the fit of the constants needs and these measurements lack."""
+    """Return, as texts for the user, the data that the fit of the constants needs and these measurements lack.
+
+    A measurement of unknown gap counts as one at the gap of the model `known`.
+    """
     free = _gaps(rows, known) == NO_SPHERE
     has_current = np.any(rows["current_amplitude"][free if free.any() else slice(None)] > 0.0)
     needs = {"DT without the sphere": free.any(), "a measured current": has_current}

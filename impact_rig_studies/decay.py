@@ -137,8 +137,8 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
     """Return whether both halves of a record decay at the same rate, as an exponential decay does.
 
     A difference up to `DIFFERENT` standard uncertainties counts as the same rate. The uncertainty comes from the
-    scatter of the cycles and the curved characteristic of the sensor. With too few cycles to decide, the result is
-    true.
+    scatter of the cycles and the curved (nonlinear) characteristic of the sensor. With too few cycles to decide, the
+    result is true.
 
     Args:
         y: samples of the displacement, shape (n,).
@@ -292,7 +292,9 @@ def _straight_line(phasors: Complex, middles: Real) -> tuple[complex, Complex, R
     The weights w are the squared amplitudes.
 
     Returns:
-        (slope [1/s]: −λ + i(ω_d − ω) for phasors at ω, residuals of the logarithms, w / Σ w (t − mean)²).
+        (slope [1/s]: −λ + i(ω_d − ω) for phasors at ω, residuals of the logarithms, w / Σ w (t − mean)²). The sum of
+        the last result times the squared real (imaginary) residuals, over (cycles − 2), is the variance of the slope's
+        real (imaginary) part.
     """
     weights = np.abs(phasors) ** 2
     logs = np.log(np.abs(phasors)) + 1j * np.unwrap(np.angle(phasors))

@@ -38,7 +38,7 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     if not drops:
         raise RecordingError(
             f"{run.path}: no remark on the topic `notes` states the heights of a drop and its rebound in metres, like "
-            f"{DropHeights(0.2, 0.0245).text()!r}"
+            f"{DropHeights(0.2, 0.0245).text()!r}; publish one for each drop while recording"
         )
     found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
     if found.status is not Status.OK:

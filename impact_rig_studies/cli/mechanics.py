@@ -47,7 +47,7 @@ EXPONENTS = "exponents"  # folder of the exponents in a map's directory
 def run_map(arguments: argparse.Namespace) -> int:
     """Compute the missing points of a map file, write, draw and print the map, and return the exit code.
 
-    The code is 1 if the motion could not be resolved at any point.
+    The code is 0 if the motion could be simulated at one point or more, else 1.
     """
     file, directory, _, address = tasks.words(arguments, "map", "map config/maps/gap_frequency.yaml")
     runner = tasks.runner(measure_line, address, arguments.workers)
@@ -130,7 +130,8 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     console.print(
         f"largest reduction of DT at {best.over} {best.value:.6g}: {reading.reduction_percent:.2f} % "
         f"(DT {reading.dt:.2f}, {reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); from "
-        f"{best.region[0]:.6g} to {best.region[1]:.6g} it is at most {optimum.REGION_POINTS:g} percentage point smaller"
+        f"{best.region[0]:.6g} to {best.region[1]:.6g} the reduction is smaller by at most {optimum.REGION_POINTS:g} "
+        "percentage point"
     )
     table = TextTable(
         "Change of this reduction if a value of the configuration is 1 % larger", left=("value",), right=("points",)
@@ -143,7 +144,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
 def run_dynamics(arguments: argparse.Namespace) -> int:
     """Compute the missing tasks of a dynamics study, write, draw and print its rows, and return the exit code.
 
-    The code is 1 if no row could be resolved.
+    The code is 0 if one row or more has a result, else 1; see `_unsolved` for rows without one.
     """
     kind = arguments.kind
     file, directory, _, address = tasks.words(arguments, "dynamics", f"dynamics {kind} config/dynamics/nominal.yaml")
@@ -173,7 +174,9 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
     empty = _unsolved(plan, rows) == len(rows)
     if empty:
         console.print(
-            "no motion could be resolved, so there is no result: check the values and starts in the file", style="red"
+            "there is no result: no motion could be simulated, or none led to an orbit; change the values or starts in "
+            "the file",
+            style="red",
         )
     tell_results(directory, content, as_json=arguments.json)
     return 1 if empty else 0
@@ -194,7 +197,7 @@ def _special(done: plans.FinishedStudy) -> list[dict[str, object]]:
 
 
 def _unsolved(plan: Plan, rows: list[Row]) -> int:
-    """Return the number of rows whose motion could not be resolved."""
+    """Return the number of rows without a result: the motion could not be simulated, or no orbit was found from it."""
     word = next((plan.columns.index(name) for name in ("regime", "event") if name in plan.columns), None)
     words = [] if word is None else [str(row[word]) for row in rows]
     return sum(one == FAILED or one.startswith(plans.NO_ORBIT) for one in words)

@@ -343,7 +343,7 @@ def _add_replicate(tests: Commands) -> None:
         "--plan",
         type=Path,
         metavar="FILE",
-        help=PLAN.format("replicate", "the inferior base follows, 2 to 150 Hz, at most 20 trials"),
+        help=PLAN.format("replicate", "the inferior base follows the signal, 2 to 150 Hz, at most 20 trials"),
     )
     _add_stream_options(parser, "replicate", RATE_HZ)
 
@@ -608,7 +608,7 @@ def add_map(commands: Commands) -> None:
             ("map config/maps/gap_frequency.yaml", "on all cores; writes a table and draws the map"),
             ("map my_map.yaml --through dask tcp://host:8786", "on a Dask cluster"),
         ],
-        "Exit code 0: the motion was resolved at one point or more; 1: at none.",
+        "Exit code 0: the motion could be simulated at one point or more; 1: at none.",
     )
     _add_tasks(parser, "map", "map", "config/maps/gap_frequency.yaml")
     _add_drawings(parser)
@@ -631,8 +631,8 @@ def add_dynamics(commands: Commands) -> None:
             ("dynamics continue config/dynamics/nominal.yaml", "stable and unstable motions over the gap, with folds"),
             ("dynamics basin config/dynamics/two_motions.yaml", "the motion reached from each start of the sphere"),
         ],
-        more="All studies use the mechanics without instruments. Run the command again to resume it. Exit code 0: the "
-        "motion was resolved for one row or more; 1: for none.",
+        more="All studies use the mechanics without instruments. Run the command again to resume it. Exit code 0: one "
+        "row or more has a result; 1: none has, because no motion could be simulated or no orbit was found.",
     )
     parser.add_argument("kind", choices=KINDS, help="kind of study, which is also the section of the file to use")
     _add_tasks(parser, "dynamics", "studies", "config/dynamics/nominal.yaml")

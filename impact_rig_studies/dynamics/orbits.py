@@ -326,7 +326,8 @@ def _pairs(one: Orbit) -> float:
 def _zero(f: Map, here: Orbit, new: Orbit, test: Callable[[Orbit, Real], float]) -> Orbit | None:
     """Return the orbit on the branch between two successive orbits at which a test function is zero.
 
-    Returns None if Newton's method fails between them, or the test function does not change its sign after all.
+    `test` receives an orbit, and its tangent in the direction from `here` to `new`. Returns None if Newton's method
+    fails between them, or the test function does not change its sign after all.
     """
     origin, whole = np.append(here.z, here.p), np.append(new.z - here.z, new.p - here.p)
     found = here

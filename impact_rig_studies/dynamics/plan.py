@@ -267,7 +267,10 @@ def kinds(directory: str | Path) -> list[str]:
 
 
 def run(task: StudyTask) -> list[Row]:
-    """Run a task: simulate its motions, and return its rows of results with the columns `COLUMNS[task.kind]`."""
+    """Run a task: simulate its motions, and return its rows of results with the columns `COLUMNS[task.kind]`.
+
+    A motion that cannot be simulated gives a row of NaN whose `regime` or `event` says so; a section then has no rows.
+    """
     return _RUNNERS[task.kind](task, **task.what)
 
 
@@ -571,7 +574,9 @@ def _found(task: StudyTask, over: str, value: float, start: Start, unit: float) 
         raise SimulationError(f"the motion does not repeat: it is {reading.regime}")
     one = orbits.orbit(strobe, strobe.seen(rig, value / unit, reading), value / unit)
     if one is None:
-        raise SimulationError("the motion repeats, but Newton's method does not converge to an orbit near it")
+        raise SimulationError(
+            "the motion repeats, but Newton's method does not converge to an orbit near it; try another start or value"
+        )
     return strobe, one
 
 
@@ -629,8 +634,8 @@ def _attractors(
     of the time.
 
     Returns:
-        For each motion, without duplicates: DT, impacts per cycle, period in cycles, and then the seven values of
-        `Simulation.state` at the beginning of each cycle.
+        For each motion, without duplicates, these numbers: DT, impacts per cycle, period in cycles, and then the seven
+        values of `Simulation.state` at the beginning of each cycle.
     """
     some = [
         [values[i] for i in sorted({*np.linspace(0, len(values) - 1, _LOOKED).astype(int).tolist()})]

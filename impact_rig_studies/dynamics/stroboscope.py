@@ -182,7 +182,10 @@ class Stroboscope:
         rig.simulation.advance(part)
         state = rig.simulation.state()
         if state is None:
-            raise SimulationError("the sphere touches a wall at every phase of the drive: the motion has no section")
+            raise SimulationError(
+                "the sphere touches a wall at every phase of the drive, so the motion has no section; try another "
+                "start or value"
+            )
         d, rate = state[list(SPHERE)]
         self._aside = d if rate else 0.0  # a resting sphere may be at a wall, where its neighbours would strike
         self.scale = size(place, state)[self._free]
@@ -261,7 +264,8 @@ class Stroboscope:
     def _half(self, z: Real, p: float) -> Real:
         """Return the mirror image of the state half a period after z, for a period of an odd number of cycles.
 
-        It is NaN if the sphere is in contact then, or half a cycle after z.
+        It is NaN if the sphere is in contact with a wall then. It is also NaN for a contact half a cycle after z,
+        because the motion is simulated in two parts that meet there.
         """
         turn = self.turn
         try:
@@ -323,7 +327,8 @@ class Stroboscope:
         Args:
             z: coordinates near the orbit, shape (n,).
             p: dimensionless parameter of the map.
-            varied: `varied(i, step)` returns the rig whose i-th parameter differs by `step`.
+            varied: `varied(i, step)` returns the rig whose i-th parameter is larger by `step`. The derivatives are by
+                the parameters in the unit of `step`, whose value is `STEP`.
             count: number of parameters.
 
         Returns:
@@ -382,7 +387,7 @@ class Stroboscope:
     def _segments(self, place: Place, cycles: float) -> NDArray[np.void]:
         """Return the segments of the drive for `Simulation.advance` over a time in cycles, beginning at the section.
 
-        They are one segment per cycle, or one segment for a part of one cycle.
+        They are one segment per cycle for a whole number of cycles, or one segment for less than one cycle.
         """
         segments = np.zeros(max(1, int(cycles)), SEGMENT)
         segments["duration"] = min(cycles, 1.0) / place.frequency_hz
