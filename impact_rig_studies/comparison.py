@@ -261,7 +261,8 @@ class _ModelledScans:
         wrong = next((name for name in CHANNELS if not np.all(np.isfinite(self.true[name]))), None)
         if wrong is not None:
             raise RecordingError(
-                f"{run.path}: the channel {wrong} has a reading that is not finite, so the run cannot be compared"
+                f"{run.path}: the channel {wrong} has a reading that is not finite, so the run cannot be compared: "
+                "measure again, or repair the data and import them again"
             )
         self.stretches = list(self._stretches(run))
         for stretch in self.stretches:
@@ -287,7 +288,7 @@ class _ModelledScans:
         """Return the table that replaces a measured one in the analysis, so that the model is measured.
 
         A table of `daq/info` is replaced by a calibration without any error, a table of `daq/scan` by the model's scans
-        at the same times. The tables of `daq/scan` must be passed in the order of the run.
+        at the same times. No other topic is allowed. The tables of `daq/scan` must be passed in the order of the run.
         """
         if topic is topics.INFO:
             rows = table.rows.copy()
@@ -323,7 +324,7 @@ def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float
     integrated to displacements [m].
 
     Args:
-        values: contiguous readings, shape (n,).
+        values: contiguous readings in the unit of the channel, shape (n,).
         calibration: calibration of the instruments.
         channel: index of the channel in `scans.CHANNELS`.
         drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, components below `LOWEST_SHARE`

@@ -159,7 +159,7 @@ def _one_rate(y: Real, rate_hz: float, omega: float, bend: float) -> bool:
 
 
 def bent(decay_per_s: float, seconds: float) -> float:
-    """Return Δζ/ζ per κ: the relative error of ζ if the sensor's gain depends on the amplitude a as 1 + κ (a/a_0)².
+    """Return (Δζ/ζ)/κ, Δζ being the error of ζ if the sensor's gain depends on the amplitude a as 1 + κ (a/a_0)².
 
     a_0 is the amplitude at the beginning of the record; ζ is fitted to ln a with the weights a². The result is 1/2 for
     a record that contains the whole decay, more for a shorter one, up to 2.
@@ -176,7 +176,7 @@ def bent(decay_per_s: float, seconds: float) -> float:
 
 
 def _moments(k: float) -> tuple[float, float, float]:
-    """Return ∫ sⁿ e^{−ks} ds over 0 … 1 for n = 0, 1, 2."""
+    """Return ∫ sⁿ e^{−ks} ds over 0 … 1 for n = 0, 1, 2; k must not be 0."""
     end = math.exp(-k)
     zeroth = -math.expm1(-k) / k
     first = (zeroth - end) / k

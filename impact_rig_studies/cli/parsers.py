@@ -135,7 +135,7 @@ def add_import(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="new or empty directory that receives the run, several runs, or the campaign",
+        help="new or empty directory that receives the run, several runs, or the campaign (required)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
@@ -549,9 +549,14 @@ def add_campaign(commands: Commands) -> None:
         "--only", nargs="+", default=(), metavar="STUDY", help="studies of FILE to measure (default: all)"
     )
     parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of noise and calibration errors (default: that in FILE)"
+        "--seed",
+        type=int,
+        metavar="N",
+        help="seed of noise and calibration errors (default: that of the rig defined in FILE)",
     )
-    parser.add_argument("--scan-rate", type=int, metavar="HZ", help="scans per second (default: those in FILE)")
+    parser.add_argument(
+        "--scan-rate", type=int, metavar="HZ", help="scans per second (default: those of the rig defined in FILE)"
+    )
     parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
     parser.add_argument(
         "--check",

@@ -168,8 +168,9 @@ def followed(
         limits: smallest and largest p; if the branch reaches one of them, its last orbit is computed exactly there.
         longest: largest step along the branch in the space (z, p).
         points: maximum number of orbits, without `start`.
-        born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn: `FLIP` or
-            `SYMMETRY` if the orbits of the branch begin to exist there, else `FOLD`.
+        born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn. It returns
+            `FLIP` if the branch is one of period-doubled orbits that begins there, `SYMMETRY` if it is one of
+            asymmetric orbits that begins there, else `FOLD`.
         noted: returns the `note` of an orbit. It is called for each orbit before `moved` may change the coordinates.
         moved: changes the coordinates of `f` if its section is too close to an impact of the newest orbit. It receives
             the points (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or
@@ -269,7 +270,7 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
 def _orbit_at(f: Map, y: Real) -> Orbit | None:
     """Return the `Orbit` at a point y = (z, p) that is known to be a fixed point, with multipliers and tangent.
 
-    Returns None if these derivatives do not exist, because the map is undetermined at a neighbouring point.
+    Returns None if these derivatives do not exist, because the map is NaN at a neighbouring point.
     """
     z, p = y[:-1], float(y[-1])
     try:

@@ -674,8 +674,8 @@ def _states(rig: MapRig, place: Place, cycles: int) -> list[np.ndarray]:
 def _distance(state: np.ndarray, attractor: Sequence[str | float], scale: np.ndarray) -> float:
     """Return the distance of a state from the nearest state of an attractor, as the largest scaled difference.
 
-    `attractor` is a periodic motion from `_attractors`. The differences are divided by `scale`, the size of the motion
-    in each value of `Simulation.state`.
+    `attractor` is a periodic motion from `_attractors`: three figures, then its states. The differences are divided by
+    `scale`, the size of the motion in each value of `Simulation.state`.
     """
     states = np.array(attractor[3:], float).reshape(-1, len(state))
     return float(np.abs((states - state) / scale).max(axis=1).min())

@@ -71,7 +71,8 @@ class Energy(NamedTuple):
 class Properties(NamedTuple):
     """Mean properties of a periodic orbit over its period; X_1, X_b: complex amplitudes at the drive frequency.
 
-    x_1 is the displacement of the superior base, x_b that of the inferior base. The damper is the sphere.
+    x_1 is the displacement of the superior base, x_b that of the inferior base. In the loss factors and the added mass,
+    the damper is the sphere.
     """
 
     dt: float  # transmissibility |X_1| / |X_b|
@@ -111,11 +112,13 @@ class Stroboscope:
     """Stroboscopic map z → f(z, p) of a rig, for the periodic orbits of `dynamics.orbits`.
 
     z is the state at the section in dimensionless coordinates. The map returns it after `cycles` cycles of the drive.
+    `seen` sets the attributes for a settled motion.
 
     Args:
         place: the rig and its drive.
         over: name of the parameter: frequency_hz, current_a, gap_m, or a number of the configuration by dotted name.
-        unit: change of that parameter in its own unit for which the dimensionless p changes by 1.
+        unit: change of that parameter in its own unit for which the dimensionless p changes by 1; the value of the
+            parameter is p · unit.
 
     Attributes:
         cycles: number of cycles of the drive after which an orbit repeats.
@@ -232,8 +235,8 @@ class Stroboscope:
         """Return the stability of an orbit as `Orbit.kind`, with `SYMMETRY` where the mirror symmetry is lost.
 
         A symmetric orbit is a fixed point of the mirrored map over half of its period, whose multipliers are square
-        roots of those of the orbit. If the largest multiplier of the mirrored map is negative, the deviation that grows
-        has opposite signs in successive half periods: these become different, and no fold is near.
+        roots of those of the orbit. If the largest multiplier of the mirrored map is negative, the growing deviation
+        has opposite signs in successive half periods. The half periods then become different, and no fold is near.
         """
         if one.kind != FOLD or not self._mirrored(one) <= BORN:
             return one.kind
@@ -398,8 +401,8 @@ class Stroboscope:
     def _whole(self, z: Real, place: Place) -> Real:
         """Convert the coordinates z to the seven SI state values for `Simulation.set_state`.
 
-        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive;
-        of a sphere without impacts the resting position, and also the velocity if the guide has no friction.
+        Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive. A
+        sphere without impacts gets its resting position; without friction it rests in space (x_2 = v_2 = 0).
         """
         state = np.zeros(7)
         state[self._free] = z * self.scale
