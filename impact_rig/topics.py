@@ -69,12 +69,12 @@ class Topic:
         publisher: node that publishes it, or `client`.
         doc: content of a message.
         fields: columns of a table, or the fields that are filled in another message.
-        columns: row type of a table; None for a topic without tables.
+        columns: row type of a table, made from `fields`; None for a topic without tables.
         frame_id: frame of the messages.
         recorded: whether the recorder writes it to every run. Topics for plotters are not recorded: their data can be
             derived from the recorded ones.
-        further: numpy type that all columns after `fields` in a table must have; empty: any type, since a later version
-            may add columns.
+        further: numpy type that columns of a table must have which are not in `fields`. Empty means any type, because a
+            later version may add columns.
     """
 
     name: str

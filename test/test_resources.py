@@ -49,7 +49,7 @@ def test_the_package_finds_its_configurations():
 )
 def test_files_are_found_in_every_layout(tmp_path, package, share):
     (tmp_path / package).mkdir(parents=True)
-    with pytest.raises(ImpactRigError, match=r"neither next to .* nor in share/impact_rig above it"):
+    with pytest.raises(ImpactRigError, match=r"neither next to .* nor in share/impact_rig of a directory above it"):
         share_dir(tmp_path / package)
     (tmp_path / share / "config").mkdir(parents=True)
     (tmp_path / share / "package.xml").touch()

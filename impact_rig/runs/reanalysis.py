@@ -550,8 +550,8 @@ def _blind(live: Sequence[_Row]) -> list[_Blind]:
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
     """Return whether the row of one analysis can be compared with the other analysis.
 
-    The other analysis must have received all scans of the row, and the change at which the row begins. A row with the
-    status of lost blocks is never compared.
+    The other analysis must have received all scans of the row, and the change (command, label or reset) at which the
+    measurement of the row begins. A row with the status of lost blocks is never compared.
 
     Args:
         row: row of one analysis.
@@ -610,7 +610,8 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
     """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal.
+    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal; it is
+    relative, but absolute for the columns `ABSOLUTE`.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

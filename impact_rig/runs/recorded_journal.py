@@ -143,5 +143,6 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
         )
     except (ValueError, struct.error, CommandError) as error:
         raise ConfigError(
-            f"a row of the journal, a table of an earlier version, describes no fault: key {key!r}, text {text!r}"
+            f"the journal is a table of an earlier version, and its row with key {key!r} and text {text!r} describes "
+            "no valid fault"
         ) from error

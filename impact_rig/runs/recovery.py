@@ -171,7 +171,10 @@ class DamagedFile:
         return found
 
     def _next_record(self, start: int) -> int:
-        """Return the next offset from `start` that looks like a chunk, attachment or metadata; else the file's size."""
+        """Return the offset from `start` on of the next chunk, attachment or metadata record with consistent lengths.
+
+        It is the size of the file if there is none.
+        """
         window, width = start, _FIRST_WINDOW_BYTES
         while window < self.size:
             data = self._read(window, width + _PATTERN_BYTES)
@@ -573,10 +576,10 @@ class _Salvage:
     """Recovery of one damaged file: the constructor reads topics, attachments and metadata, `messages` the messages.
 
     Args:
-        path: the damaged MCAP file, or a tail.
+        path: the damaged MCAP file, or the tail of one (`writer.Tail`).
         report: report to which damage is added.
         accept_unchecked: whether to accept chunks, messages, attachments and metadata without a checksum.
-        figures: report of the file; None means a new one, which is added to `report`.
+        figures: report to which recovered messages are added; None means a new one, which is added to `report`.
         topics: topics that are already known, by channel id.
     """
 

@@ -237,8 +237,8 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
 
     A journal begins with the entry of a start or reset and lasts to the next one. Entries before the first start or
     reset form a journal of their own. The first number is the index of the journal to which the first scan belongs. The
-    second one counts the messages on `rig/journal` that are no journal entries; they are skipped. If this rig had sent
-    them, the comparison would find that entries are missing.
+    second one counts the messages on `rig/journal` that are no journal entries; they are skipped. This hides no damage:
+    if an entry of this rig is damaged, the comparison finds that it is missing.
 
     Raises:
         RecordingError: the run has no topic `rig/journal`, its journal is a table of an earlier version, or no message
@@ -502,9 +502,10 @@ class _Recorded:
             self.compare(content)
 
     def before(self, end_ns: int, first_ns: int) -> Iterator[int]:
-        """Yield the stamp of each recorded message from `first_ns` to before `end_ns` [ns], or up to a difference.
+        """Yield the stamp of each recorded message from `first_ns` to before `end_ns` [ns]; stop at a difference.
 
-        The caller must call `compare` for each of them before it asks for the next.
+        Earlier messages are treated as by `expect`. The caller must call `compare` for each stamp before it asks for
+        the next.
         """
         self._leave_out_before(first_ns)
         while self.coming is not None and not self._has_ended() and self.coming[0] < end_ns and not self.difference:
@@ -529,8 +530,9 @@ class _Recorded:
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
         """End the journal: the next recorded message, if it is before `end_ns`, counts as a difference.
 
-        If another rig follows, it does not count, because stamps may go back and it may belong to that rig. A
-        re-simulated message that was not recorded counts, too, if its stamp is more than `lag_ns` before the end.
+        If another rig follows, this message does not count, because it may belong to that rig, whose stamps may be
+        earlier. A re-simulated message that was not recorded is a difference as well, if its stamp is more than
+        `lag_ns` before the end.
 
         Args:
             end_ns: end of the scans of the journal [ns].
@@ -588,7 +590,7 @@ class _OtherTopics:
     Args:
         run: an open run.
         foreign: number of messages on `rig/journal` that are no journal entries.
-        waveforms: each journal with its messages on `shaker/waveform`.
+        waveforms: pairs of a journal and the messages on `shaker/waveform` during it.
         blocks: number of blocks of scans to compare; None means all.
     """
 
@@ -679,7 +681,7 @@ class _OtherTopics:
         self._compare_smoothed(end - self._filters[-1].half)
 
     def _compare_smoothed(self, end: float = math.inf) -> None:
-        """Compare the monitor messages at the scans before index `end` with the filtered scans, and forget these."""
+        """Compare the monitor messages at the scans before index `end` with the filtered scans, and drop the latter."""
         rig = self._again.rig
         fitted = [one for config in self._again.configurations for one in config.instruments.fitted()]
         for sample in sorted(sample for sample in self._smoothed if sample < end):
@@ -766,12 +768,13 @@ class _OtherTopics:
         self._made += rig.take_journal()
 
     def _compare_journal(self, whole: bool, lag_ns: int) -> None:
-        """Compare the recorded entries of a journal with those of the re-simulation, which begins with the first one.
+        """Compare the recorded entries of a journal, except its first one, with those that the re-simulation made.
 
         Args:
             whole: whether a reset ended the journal, so that the re-simulation must have made all recorded entries;
                 otherwise only those before the end of the scans.
-            lag_ns: duration before the end whose entries may not have reached the recorder [ns].
+            lag_ns: time before the end of the scans [ns]; entries in it may be missing, because they may not have
+                reached the recorder.
         """
         end = self._end_ns
         # a planned fault is compared only if the re-simulation has reached its scan
@@ -840,9 +843,9 @@ class _OtherTopics:
         return count
 
     def _unlike(self, config: dict[str, object]) -> str:
-        """Return a clause that names the first value in which a recorded configuration differs from the re-simulations.
+        """Return a clause that names the first value in which a recorded configuration differs from the journal.
 
-        It is compared with the configuration that differs in the fewest values.
+        Of all configurations of the journal, the one that differs in the fewest values counts.
         """
         if not self._configurations:
             return "the journal contains no configuration to compare it with"
@@ -901,10 +904,10 @@ class _Monitor:
             self.following[step] = self.following[step] + 1 if is_recorded else 0
 
     def _differ(self, found: dict[str, Any], made: tuple[Any, ...]) -> str:
-        """Return a difference of a recorded monitor message from the possible ones; empty if it is one of them.
+        """Compare a recorded monitor message with all possible ones; return a difference, or "" if it equals one.
 
-        `made` has the possible filtered scans, instruments and calibrations. If `made` is empty, the message is not
-        compared, and the result is empty.
+        `made` has the filtered scans at all possible rates, and the instruments and calibrations of all configurations
+        so far. If `made` is empty, the message is not compared, and the result is empty.
         """
         if not made:
             return ""

@@ -79,6 +79,8 @@ def allow(what: str, amount: float, limit: float) -> None:
 def factor() -> float:
     """Return the factor by which the environment variable IMPACT_RIG_BUDGET raises all limits; 1 if it is not set.
 
+    The value `inf` removes all limits.
+
     Raises:
         BudgetError: the environment variable is not a number >= 1.
     """
@@ -108,8 +110,8 @@ class ReadBudget:
         """Add a chunk of `size` decompressed bytes to the sum; call this before it is decompressed.
 
         Raises:
-            BudgetError: the chunk has more than 32 MiB, or all chunks so far have more than 64 MiB plus 250 bytes per
-                byte of the files.
+            BudgetError: the chunk has more than 32 MiB, or all chunks so far have more than 64 MiB plus 250 times the
+                size of the files. The environment variable raises both limits.
         """
         allow("bytes in a chunk", size, CHUNK_BYTES)
         self._decompressed += size
@@ -183,7 +185,7 @@ class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
 
 
 def _refuse_twice(mapping: yaml.MappingNode) -> None:
-    """Raise an error if a mapping has a key twice, because the second value would silently replace the first."""
+    """Raise a PlainYamlError if a mapping has a key twice: the second value would silently replace the first."""
     seen = set()
     for key, _ in mapping.value:
         if isinstance(key, yaml.ScalarNode):

@@ -70,8 +70,9 @@ class Ending:
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
         """Call `work`, and return its exit code, or after a signal the exit code for the first signal.
 
-        After a signal whose exit code is not 0, this prints the name of the program and the signal on stderr. If the
-        process still runs 5 s after the work has ended on a signal, because of threads of other libraries, it is ended.
+        Further signals have no effect. After a signal whose exit code is not 0, this prints the name of the program and
+        the signal on stderr. If the process still runs 5 s after the work has ended on a signal, because of threads of
+        other libraries, it is ended.
 
         Args:
             work: main function of the program.
@@ -104,7 +105,7 @@ class Ending:
             self._over()
 
     def _over(self) -> None:
-        """Ignore signals and stop the reminders, because the work is done and its exit code is known."""
+        """Ignore signals, and raise none again, because the work is done and its exit code is known."""
         ignored = False
         while not ignored:
             with contextlib.suppress(SignalReceived):  # a signal may arrive in between
@@ -193,8 +194,8 @@ def block_signals() -> Iterator[None]:
 def end_with(process: int, end: Callable[[], None]) -> None:
     """Call `end` in a new thread when the process with the id `process` ends.
 
-    If there is no such process, `end` is called immediately in this thread. On systems without pidfd, the end of this
-    process's parent is detected instead, so `process` must be the parent there.
+    If there is no such process, `end` is called immediately in this thread. On systems without pidfd, the end of the
+    calling process's parent is detected instead, so `process` must be that parent there.
     """
     try:
         descriptor = os.pidfd_open(process)

@@ -189,8 +189,8 @@ def results_in(directory: Path, prepare: Callable[[], T]) -> Iterator[T]:
     """Call `prepare`, which creates a directory for results, and yield its return value to the `with` block.
 
     If `prepare` raises an error, or the block raises one before it has added a file to the directory, the directory is
-    removed, unless it existed before. Otherwise it would look like a result, and the next attempt would refuse to write
-    into it.
+    removed, unless it existed before. Without results it would look like one, and the next attempt would refuse to
+    write into it.
 
     Args:
         directory: the directory that `prepare` creates.
@@ -218,7 +218,8 @@ def staged(directory: Path) -> Iterator[Path]:
         directory: existing or new directory; nothing in it is replaced.
 
     Raises:
-        OSError: `directory` cannot be written, or contains a file of the same name as a result.
+        OSError: `directory` cannot be written, or contains a file of the same name as a result. In an existing
+            directory, results that were moved before this one stay, and the others are removed.
     """
     directory = Path(os.path.abspath(directory))  # noqa: PTH100  # `resolve` would follow a link
     parent = directory if directory.is_dir() else directory.parent
@@ -317,7 +318,7 @@ def state_dir(name: str) -> Path:
 
 
 def refuse_foreign(directory: Path) -> None:
-    """Raise an error if a directory, or a link to it, belongs to another user, who could change its content.
+    """Raise an error if a directory, or the link at this path, belongs to another user, who could change its content.
 
     Raises:
         PermissionError: another user owns it; the message has the id of that user.
@@ -350,7 +351,7 @@ PLACES = "impact_rig_places"  # folder of the locks by which rigs reserve a ROS 
 def place(domain_id: int, namespace: str) -> str:
     """Return the name of the lock by which one rig reserves its ROS domain and namespace: `7.cell` for 7 and `/cell`.
 
-    The lock is in the folder `PLACES`.
+    For the root namespace, it is only the number. The lock is in the folder `PLACES`.
     """
     return f"{domain_id}{namespace.replace('/', '.').rstrip('.')}"
 
@@ -380,7 +381,7 @@ def hold(folder: str, name: str) -> int | None:
 
 
 def is_held_by_others(folder: str, name: str) -> bool:
-    """Return whether a lock is certainly held by a process that did not acquire it with `hold`, so by no rig.
+    """Return whether a lock is certainly held by a process that did not acquire it with `hold`, and so is no rig.
 
     `hold` writes the id of its process into the lock's file; here it is compared with the id of the process that holds
     the lock according to the system. The result is False if the holder is unknown, for example in another container.
@@ -487,8 +488,8 @@ def share_dir(package: Path = _PACKAGE) -> Path:
         if (candidate / "package.xml").is_file() and (candidate / "config").is_dir():
             return candidate
     raise ImpactRigError(
-        f"config/ and package.xml are neither next to {package} nor in share/{package.name} above "
-        "it; reinstall the package"
+        f"config/ and package.xml are neither next to {package} nor in share/{package.name} of a "
+        "directory above it: reinstall the package"
     )
 
 

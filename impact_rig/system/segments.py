@@ -87,11 +87,11 @@ class Watch:
 
 
 def invalidate_abandoned_segments(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """Mark the shared-memory segments that are half created now and were half created at the last check as corrupt.
+    """Mark each shared-memory segment as corrupt that is half created now, as it was at the last check already.
 
     Args:
         directory: directory of the segments.
-        before: result of the last check.
+        before: result of the last check, `POLL_S` or more ago; an empty set at the first check.
 
     Returns:
         Name and inode of all segments that are half created now, for the next check.

@@ -75,7 +75,7 @@ class ParameterChange:
 
 @attrs.frozen
 class Inject:
-    """Fault of an instrument, or of the whole board without `channel`, for this many blocks from now on.
+    """Fault of an instrument, or of the whole board without `channel`, for `blocks` blocks from now on.
 
     `kind` and `value` are those of a `Fault`.
     """
@@ -93,7 +93,7 @@ class Inject:
 
 @attrs.frozen
 class Pause:
-    """Time of this many blocks in which the rig runs without any action."""
+    """Pause of the actions: the rig runs `blocks` blocks without any."""
 
     blocks: int = 1
 
@@ -104,7 +104,7 @@ class Pause:
 
 @attrs.frozen
 class Silence:
-    """Silence of the controller for this many blocks.
+    """Silence of the controller for `blocks` blocks.
 
     The command timeout is half of this time meanwhile, so the rig ramps down after half of the blocks.
     """
@@ -122,7 +122,7 @@ class Silence:
 
 @attrs.frozen
 class Reset:
-    """Reset of the rig (scan 0, everything at rest) after this many further callbacks of the nodes under test."""
+    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of the nodes under test."""
 
     after: int = 0
 
@@ -133,9 +133,9 @@ class Reset:
 
 @attrs.frozen
 class LateJoin:
-    """Late start of the pipeline: the rig runs this many blocks before `check` connects the pipeline.
+    """Late start of the pipeline: the rig runs `blocks` blocks before `check` connects the pipeline.
 
-    This holds for actions at the begin of a scenario. Later, the rig just runs this many blocks.
+    This holds for actions at the begin of a scenario. Later, the rig just runs `blocks` blocks.
     """
 
     blocks: int = 1
@@ -147,7 +147,7 @@ class LateJoin:
 
 @attrs.frozen
 class Delay:
-    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for this many blocks.
+    """Delay of a topic's messages, of all timers (`"timers"`) or of all topics (`"messages"`), for `blocks` blocks.
 
     The messages are delivered afterwards in their order; a full queue loses its oldest one.
     """
@@ -162,7 +162,7 @@ class Delay:
 
 @attrs.frozen
 class First:
-    """Priority of a topic or of the timers (`"timers"`) over all other callbacks, for this many blocks."""
+    """Priority of a topic or of the timers (`"timers"`) over all other callbacks, for `blocks` blocks."""
 
     source: str
     blocks: int = 1
@@ -174,7 +174,7 @@ class First:
 
 @attrs.frozen
 class Burst:
-    """Pause of all executors for this many blocks; then they run everything that has queued up."""
+    """Pause of all executors for `blocks` blocks; then they run everything that has queued up."""
 
     blocks: int = 2
 
@@ -198,7 +198,7 @@ class Duplicate:
 
 @attrs.frozen
 class Drop:
-    """Loss of the next `count` messages of a topic at subscriptions that are best effort; others lose nothing."""
+    """Loss of the next `count` messages of a topic at best-effort subscriptions; reliable ones receive them."""
 
     topic: str
     count: int = 1
@@ -210,7 +210,7 @@ class Drop:
 
 @attrs.frozen
 class SetParameter:
-    """Change of a parameter of the nodes under test, after this many further callbacks."""
+    """Change of a parameter of the nodes under test, after `after` further callbacks."""
 
     name: str
     value: object
@@ -223,7 +223,7 @@ class SetParameter:
 
 @attrs.frozen
 class Send:
-    """Message to the nodes under test, after this many further callbacks, with the value `data` in its field `data`.
+    """Message to the nodes under test, after `after` further callbacks, with the value `data` in its field `data`.
 
     If `data` is None, all fields of the message have their default values.
     """
@@ -239,7 +239,7 @@ class Send:
 
 @attrs.frozen
 class Call:
-    """Call of a service of the nodes under test, after this many further callbacks."""
+    """Call of a service of the nodes under test, after `after` further callbacks."""
 
     service: str
     after: int = 0
