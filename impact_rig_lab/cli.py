@@ -84,8 +84,8 @@ def add_command(commands: Commands) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address on which the page is served; any but the default lets other machines open it (default: "
-        "%(default)s)",
+        help="address on which the page is served; unless it is a loopback address, other machines can open the page "
+        "(default: %(default)s)",
     )
     add_recorded_rig(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")
@@ -154,7 +154,7 @@ def run(arguments: argparse.Namespace) -> int:
         source.theory.branches = branches
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
         stack.enter_context(source)
-        console.print("impact_rig lab: open this address in a browser; Ctrl-C ends it", soft_wrap=True)
+        console.print("impact_rig lab: open this address in a browser; Ctrl-C ends the lab", soft_wrap=True)
         print(server.address, flush=True)  # noqa: T201
         if not arguments.no_browser:
             with contextlib.suppress(webbrowser.Error):

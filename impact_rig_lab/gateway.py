@@ -220,8 +220,8 @@ class Gateway:
     def take(self) -> bool:
         """Pass the scans and motion received since the last call to the record; return whether there were any.
 
-        They are dropped while the stamp of scan 0 of a new rig is unknown. At most `MOST_PER_LOOK` messages per topic
-        are taken in a call.
+        They are dropped, but count as received, while the stamp of scan 0 of a new rig is unknown. At most
+        `MOST_PER_LOOK` messages per topic are taken in a call; the others remain for the next one.
         """
         received = False
         for topic, subscription in self._samples.items():
@@ -336,7 +336,7 @@ class Gateway:
         Args:
             check: condition, evaluated once per turn of the event loop; any true value fulfils it.
             what: what is waited for, for the message.
-            timeout_s: longest wait.
+            timeout_s: longest wait [s], by the clock of this machine.
 
         Raises:
             Refused: the condition is not fulfilled in time; the message names `what`.
@@ -450,7 +450,13 @@ class Gateway:
             raise
 
     async def do_pluck(self, value: float) -> str:
-        """Pluck the rig: the rig locks the inferior base, and releases the superior base from a displacement [m]."""
+        """Pluck the rig: the rig locks the inferior base, and releases the superior base from a displacement [m].
+
+        The inferior base stays locked until the next reset.
+
+        Raises:
+            Refused: the rig rejects the displacement or the pluck, or does not answer in time.
+        """
         await self._set("rig", {"pluck.displacement_m": value})
         return await self._trigger("rig/pluck")
 
@@ -467,7 +473,7 @@ class Gateway:
             Refused: the gap is negative, or the rig or the analysis rejects it.
         """
         if value < 0.0:
-            raise Refused(f"a gap must be 0 mm (no sphere) or more, got {value * 1e3:g} mm")
+            raise Refused(f"a gap must be > 0 mm, or 0 for a rig without the sphere, got {value * 1e3:g} mm")
         await self._set("rig", gap_values(value))
         return case_of(value) + await self._label(value)
 
@@ -526,7 +532,11 @@ class Gateway:
         return f"fault: {added}"
 
     async def do_clear_faults(self) -> str:
-        """End all simulated instrument faults that are active, and cancel those that are planned."""
+        """End all simulated instrument faults that are active, and cancel those that are planned.
+
+        Raises:
+            Refused: the rig does not answer in time.
+        """
         await self._set("rig", {PLANNED: [""]})
         return "faults cleared"
 
@@ -633,7 +643,9 @@ class Gateway:
             raise Refused("this lab did not start the rig, so it cannot restart it: restart it where it was started")
         ended = [name for name in own.processes.running if own.ended(name)]
         if not ended:
-            raise Refused("all processes of this lab are running, so there is none to restart")
+            raise Refused(
+                "all processes of this lab are running, so there is none to restart; a reset brings the rig to rest"
+            )
         if "rig" in ended:
             self.record.knobs, self.record.configuration = {}, ""
         for name in ended:

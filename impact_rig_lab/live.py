@@ -81,7 +81,7 @@ class LiveSource(Source):
         return self.record.scope.end_s if self.record.scope is not None else 0.0
 
     def close(self) -> None:
-        """End the thread of the source and its ROS client, and start no further nodes."""
+        """End the thread of the source and its ROS client, and start no further nodes; running ones continue."""
         super().close()
         if self._own is not None:
             self._own.close()

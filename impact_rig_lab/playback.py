@@ -102,7 +102,9 @@ class RunPlayer:
             self._topics = {name: topic for name, topic in known.items() if name in self._run.topics}
             info = next(self._messages([topics.INFO]), None)
             if info is None:
-                raise RecordingError(f"{path} contains no calibration (daq/info), so that its scans cannot be shown")
+                raise RecordingError(
+                    f"{path} contains no calibration (daq/info), so that its scans cannot be shown: choose another run"
+                )
             try:
                 calibration = codec.decode(info.data, topics.INFO)
                 self.rate_hz, self.start_ns = scan_rate(calibration), start_ns(calibration)
@@ -110,7 +112,9 @@ class RunPlayer:
                 raise RecordingError(f"{path}: {error}") from error
             first = next(self._messages([topics.SCAN]), None)
             if first is None:
-                raise RecordingError(f"{path} contains no scans (daq/scan), so that there is nothing to show")
+                raise RecordingError(
+                    f"{path} contains no scans (daq/scan), so that there is nothing to show: choose a run with scans"
+                )
             self.begin_ns, self.end_ns = codec.header_stamp_ns(first.data), self._run.end_ns
             self.start_ns = min(self.start_ns, self.begin_ns)
             self._stack = stack.pop_all()
@@ -172,10 +176,12 @@ class RunPlayer:
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Continue playing at another time: refill the ring buffers with the seconds of scans and motion before it.
+        """Move to another time: refill the ring buffers with the scans and motion of the seconds before it.
+
+        `play` continues from there.
 
         Args:
-            page_s: the time of the page [s].
+            page_s: the time of the page [s]; outside the run, the ring buffers stay empty or show its end.
         """
         self._quiet.clear()
         try:
@@ -302,7 +308,9 @@ class RunPlayer:
         return [row for row in self.record.curve.part(self.start_ns) if row["t"] <= at_s][-MOST_ROWS:]
 
     def impact_after(self, page_s: float, direction: float) -> float | None:
-        """Return the time of the page [s] of the next or previous true impact, as far as marks have been read.
+        """Return the time of the page [s] of the next or previous true impact, among those that have been read so far.
+
+        An impact at `page_s` itself, to 1 µs, does not count.
 
         Args:
             page_s: time of the page from which to search [s].
@@ -327,7 +335,8 @@ class RunPlayer:
 class PlaybackSource(Source):
     """Source of pages that play back one recorded run, or two runs at once for comparison.
 
-    The record of the source is that of the first run, which also defines the time of the page.
+    The record of the source is that of the first run, which also defines the time of the page. The second run is
+    shifted so that the first recorded scans of both coincide; a page can request another alignment.
 
     Args:
         paths: path of one run, or of two.

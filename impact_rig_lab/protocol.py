@@ -296,7 +296,7 @@ def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.flo
     Args:
         number: epoch of the record (`RigView.epoch`).
         resolution_hz: distance between two lines of the spectrum.
-        amplitudes: peak amplitudes of the lines from 0 Hz on.
+        amplitudes: peak amplitudes of the lines from 0 Hz on, in the unit of the channel.
         channel: index of the channel in `CHANNELS`.
     """
     head = _SPECTRUM.pack(resolution_hz, len(amplitudes), channel)

@@ -129,7 +129,8 @@ class Rows:
     def since(self, number: int, most: int = 2000) -> NDArray[np.float64]:
         """Return the rows added after the first `number` rows, shape (n, columns).
 
-        If they are more than `most`, or than are kept, only the newest ones are returned.
+        If they are more than `most`, or than are kept, only the newest ones are returned. `count` tells how many rows
+        were added in all.
         """
         first = max(number, self.count - min(len(self._rows), most), 0)
         return self._rows[np.arange(first, self.count) % len(self._rows)]
@@ -253,8 +254,9 @@ class RigHistory:
     def at(self, instant_ns: int) -> tuple[JournalView, JournalEntry | None]:
         """Return the state of the rig at a rig time, and the last entry up to then that makes a measurement restart.
 
-        Entries about faults and about samples of a stream do not make a measurement restart. The entry is None if none
-        of the kept entries does.
+        Entries about faults and about the samples of a stream that drives the rig do not make a measurement restart.
+        The entry is None if none of the kept entries does. Before the first kept entry, the parameters have their
+        default values.
         """
         view, newest = JournalView(), None
         for change in list(self._changes):
@@ -343,7 +345,7 @@ class Curve:
         self._part: tuple[int, list[dict[str, Any]]] | None = None
 
     def add(self, table: Table) -> None:
-        """Add the rows of a `transmissibility/table`: all to `judged`, and those with a measured value for `part`."""
+        """Add the rows of a `transmissibility/table`: all to `judged`, those with a measured value also to `part`."""
         for row in table.rows:
             status = text(row["status"])
             channel = text(row["channel"]) if "channel" in row.dtype.names else ""
@@ -358,7 +360,7 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return the newest row of the analysis, without its numbers; None if there is none.
+        """Return time, status and label of the newest row of the analysis; None if there is none.
 
         Args:
             at_ns: rig time up to which the scans of the row must have ended [ns]; None means now.
@@ -433,7 +435,7 @@ class RigView:
         self.configuration = ""  # active configuration, as a ROS 2 parameter file
         self.knobs: dict[str, Any] = {}  # parameters of the active configuration, by name
         self.applied: deque[tuple[int, dict[str, float]]] = deque(maxlen=most)
-        """Newest changes of the drive: rig time [ns], frequency [Hz] and current [A]."""
+        """Newest changes of the drive: rig time [ns], and frequency and current as in `drive`."""
         self.changes = 0  # number of changes of the drive received so far
         self.changed_at_s = 0.0  # time at which the newest change was received (`time.monotonic`)
         self.begun_at_s = 0.0
@@ -460,7 +462,7 @@ class RigView:
         """Return reasons why the newest measurement may not describe the present rig, as text; empty if there are none.
 
         They are active faults, problems of channels, a change since the measurement began, and a label of the analysis
-        with another gap than that of the rig.
+        with another gap than that of the rig. Without a measurement, they are active faults.
 
         Args:
             at_ns: rig time for which to judge; None means now.
@@ -572,7 +574,10 @@ class RigView:
 
     @property
     def drive(self) -> dict[str, float] | None:
-        """Active drive frequency [Hz] and peak current [A] of the present rig; None if they are not published yet."""
+        """Active drive of the present rig, with the keys `frequency` and `current`; None if it is not published yet.
+
+        `frequency` is in Hz. `current` is the peak amplitude in A, or in m or V by `drive.kind`.
+        """
         change = self._change()
         return None if change is None else change[1]
 

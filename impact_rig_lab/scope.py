@@ -119,6 +119,8 @@ class ScopeLevel:
 class Scope:
     """Ring buffer of the newest scans of a rig, from which pictures and spectra are computed; missing scans are NaN.
 
+    It keeps `HELD_S` seconds of scans, but at most `MOST_SCANS`.
+
     Args:
         rate_hz: scans per second.
     """
@@ -267,14 +269,14 @@ class Scope:
         return self._read(self.end - round(span_s * self.rate_hz), self.end)
 
     def _trace(self, level: ScopeLevel, begin: int, count: int, step: int, crossing: float) -> Trace:
-        """Return a picture whose columns comprise `step` pairs of a level each.
+        """Return a picture; each of its columns has the least and largest values of `step` pairs of a level.
 
         Args:
             level: level to read.
-            begin: number of the first pair; on a coarse level it may begin up to one pair before the window.
+            begin: index of the first pair. Its group of scans may begin before the window, by less than a group.
             count: number of pairs in the window.
             step: number of pairs in a column.
-            crossing: number of the scan of the trigger, or NaN.
+            crossing: index of the scan of the trigger, or NaN.
         """
         columns = count // step
         low, high = np.full((2, len(level.low), columns * step), np.nan, np.float32)
@@ -311,11 +313,11 @@ def spectrum(values: NDArray[np.float32], rate_hz: float, top_hz: float) -> tupl
     Args:
         values: consecutive scans, shape (n,); NaN counts as 0, before the mean is subtracted.
         rate_hz: scans per second.
-        top_hz: frequency that the lines of the result reach or just exceed.
+        top_hz: frequency that the lines of the result reach or just exceed; they end at half the scan rate.
 
     Returns:
-        Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on, with a Hann window; no amplitudes for
-        fewer than 16 scans.
+        Distance of the lines [Hz], and peak amplitudes at the lines from 0 Hz on, with a Hann window, for which they
+        are corrected; no amplitudes for fewer than 16 scans.
     """
     count = len(values)
     if count < 16:

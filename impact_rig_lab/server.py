@@ -618,13 +618,14 @@ class Server:
         return found
 
     def _player(self, names: Sequence[str]) -> Source:
-        """Return a new, started player of recorded runs for one page.
+        """Return a new, started player of recorded runs for one page; the caller must close it.
 
         Args:
             names: names of one or two runs.
 
         Raises:
-            ImpactRigError: `runs` has no run of a name, there are more than two names, or a run cannot be shown.
+            ImpactRigError: a name is not that of a run in `runs`, there are more than two names, or a run cannot be
+                shown.
         """
         known = {path.name: path for path in self.runs()}
         unknown = [name for name in names if name not in known]

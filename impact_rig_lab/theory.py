@@ -88,9 +88,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
         amplitude: amplitude of the drive, peak [A or m by `drive.kind`].
 
     Returns:
-        A mapping with up to three keys. `lines` has a list for each line: [whether the motion is stable, [[frequency in
-            Hz, DT], ...]]. `words` describe the motions to the user, or say why there are none. `impacts` is the number
-            of impacts per cycle, and is absent if there is no motion.
+        A mapping. `lines` has a list for each line: [whether the motion is stable, [[frequency in Hz, DT], ...]], at
+            frequencies within `FREQUENCIES_HZ`. `words` describe the motions to the user, or say why there are none.
+            `impacts` is the number of impacts per cycle; only this key is absent if there is no motion.
     """
     kind, waveform = str(values.get(KIND, "current")), values.get(WAVEFORM, "sine")
     if not values.get("sphere.present", True):
@@ -171,15 +171,15 @@ def continued(directory: Path) -> Continued:
     except ImportError as error:
         raise ConfigError(
             f"{directory}: the branches of `impact-rig dynamics continue` cannot be read, because the package "
-            "impact_rig_studies is not installed"
+            "impact_rig_studies is not installed; reinstall impact_rig, which contains it"
         ) from error
 
     done = plan.open_study(directory, plan.CONTINUE)
     study = done.plan
     if study.over != FREQUENCY:
         raise ConfigError(
-            f"{directory}: its branches of `impact-rig dynamics continue` are over {study.over}, the page can draw "
-            f"only those over {FREQUENCY}"
+            f"{directory} has branches of `impact-rig dynamics continue` over {study.over}, but the page can draw only "
+            f"those over {FREQUENCY}: choose another --branches"
         )
     rig = to_flat(study.base)
     return Continued(

@@ -404,8 +404,8 @@ def add_daqmx(commands: Commands) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address on which the server listens; any but the default lets other machines drive the rig (default: "
-        "%(default)s)",
+        help="address on which the server listens; unless it is a loopback address, other machines can drive the rig "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--port",

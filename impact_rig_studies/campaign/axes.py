@@ -79,7 +79,7 @@ def whole(key: str, value: object, low: int, high: int) -> int:
     """Return a value that must be an integer >= low and <= high.
 
     Raises:
-        ConfigError: the value is not an integer, or is out of range.
+        ConfigError: the value is not an integer (3.0 and true are not), or is out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise wrong(key, f"an integer >= {low} and <= {high}", value)
@@ -148,7 +148,7 @@ def values(key: str, value: object) -> list[object]:
 
 
 def numbers(key: str, value: object, low: float, high: float = math.inf) -> tuple[float, ...]:
-    """Return the values of a list, a range or a single value (`values`), which must be numbers > low and <= high.
+    """Return the values of a list, a range or a single value, as `values` reads them: numbers > low and <= high.
 
     Raises:
         ConfigError: a value is not such a number, or the list or range is invalid.
@@ -157,7 +157,7 @@ def numbers(key: str, value: object, low: float, high: float = math.inf) -> tupl
 
 
 def gaps(key: str, value: object) -> tuple[float, ...]:
-    """Return the values of a list, a range or a single value (`values`), each of which must be a gap [m].
+    """Return the values of a list, a range or a single value, as `values` reads them; each must be a gap [m].
 
     The text `none` and null (an empty value) become `NO_SPHERE`.
 
@@ -171,7 +171,7 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:
-    """Return the values of a list, a range or a single value (`values`): numbers, texts, true or false.
+    """Return the values of a list, a range or a single value, as `values` reads them: numbers, texts, true or false.
 
     They are values of the rig's configuration, whose rules are not checked here.
 

@@ -77,8 +77,8 @@ class Job:
     def config(self) -> RigConfig:
         """Return the configuration of the rig, with blocks of scans of a quarter of a second (`UPDATES_PER_S`).
 
-        The operator reads the measurements after each block. At high scan rates blocks are shorter, since they have at
-        most `MAX_BLOCK_SCANS` scans.
+        The sweep of the job reads the measurements after each block. At high scan rates blocks are shorter, since they
+        have at most `MAX_BLOCK_SCANS` scans.
 
         Raises:
             ConfigError: a value is wrong.
@@ -205,7 +205,8 @@ def _trace(rig: RigDriver) -> Trace:
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
     """Convert scans, and the true motion at the same times, into columns by name, in single precision.
 
-    An additional column `time`, in double precision, has the time since the first row [s].
+    The names are those of the channels and of `TRUE_COLUMNS`; all other columns are left out. An additional column
+    `time`, in double precision, has the time since the first row [s].
 
     Args:
         scans: consecutive rows of `daq/scan`, shape (n,).

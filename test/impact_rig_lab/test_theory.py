@@ -180,7 +180,7 @@ def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
     over = "over: frequency_hz, from: 8.5, to: 9.7, at: 9.1, points: 30"
     study.write_text(study.read_text().replace(over, "from: 0.005, to: 0.007, at: 0.006, points: 2"))
     assert main(words) == 0
-    with pytest.raises(ConfigError, match="are over gap_m, the page can draw only those over frequency_hz"):
+    with pytest.raises(ConfigError, match="over gap_m, but the page can draw only those over frequency_hz"):
         continued(out)
 
 
