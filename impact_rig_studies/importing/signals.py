@@ -119,7 +119,10 @@ class ImportedSignals:
 
     @property
     def begins_s(self) -> float:
-        """Time of the first sample of the first signal over time in the file [s]; 0 without one, or with `start_ns`."""
+        """Time of the first sample of the file's first time signal [s], if the file does not state a date.
+
+        It is 0 if `start_ns` states the date of this sample, or if no signal has times.
+        """
         if self.start_ns is not None:
             return 0.0
         starts = (one.abscissa.start for one in self.signals.values() if one.abscissa.kind is AbscissaKind.TIME)

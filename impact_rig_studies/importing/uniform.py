@@ -116,8 +116,8 @@ def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
     """Return the spline through values at increasing times.
 
     It has degree 5 at nearly uniform times (`REGULAR`), else degree 3, and a lower one for fewer values. At a sine of 8
-    values per cycle, a spline of degree 3 is 6e-4 too small, and one of degree 5 only 1e-5. At times that are far from
-    uniform, the higher degree amplifies noise.
+    values per cycle, a spline of degree 3 is too small by 6e-4 of the amplitude, and one of degree 5 only by 1e-5. At
+    times that are far from uniform, the higher degree amplifies noise.
     """
     steps = np.diff(times)
     is_regular = bool(np.all(np.abs(steps / np.median(steps) - 1.0) < REGULAR))

@@ -115,8 +115,10 @@ _FACTOR = re.compile(r"([*/]?)([^\W\d]+0?)(?:\^?(-?[1-9])|\^\((-?[1-9])\))?")
 def unit_factor(unit: str, wanted: str) -> float | None:
     """Return the factor that converts values in `unit` to `wanted`; None if `unit` is unknown or of another quantity.
 
+    A unit that this module does not know is looked up with `pint`.
+
     Raises:
-        RecordingError: this module does not know the unit, and `pint` is not installed.
+        RecordingError: `pint` would have to look up the unit, but is not installed.
     """
     if unit == wanted:
         return 1.0

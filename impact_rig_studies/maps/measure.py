@@ -202,8 +202,8 @@ class MapRig:
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
         """Drive the rig with a sine from its present state until the motion has settled, and measure it.
 
-        A motion that has not settled after `settle_cycles` is averaged over `cycles` drive cycles. If the motion cannot
-        be simulated, the rig is reset, and the reading has the regime `FAILED`.
+        A motion that has not settled after `Settings.settle_cycles` is averaged over `Settings.cycles` drive cycles. If
+        the motion cannot be simulated, the rig is reset, and the reading has the regime `FAILED`.
 
         Args:
             frequency_hz: frequency of the drive.
@@ -226,9 +226,9 @@ class MapRig:
         """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
 
         Returns:
-            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, the Lyapunov exponent
-            does not describe the motion that follows. The regime of the reading is then the one that the amplitude of
-            the superior base and the impacts show.
+            The reading, and whether the motion is leaving an unstable periodic orbit. If it is, call again to continue:
+            the Lyapunov exponent does not describe the motion that follows. The regime of the reading is then based
+            only on the amplitude of the superior base and the impacts.
         """
         settings = self._settings
         record = self._run(frequency_hz, amplitude, _FIRST)
@@ -273,8 +273,8 @@ class MapRig:
     def _stays(self, frequency_hz: float, amplitude: float, record: _Record) -> bool:
         """Return whether a motion that seems to have settled still seems so `_PART` cycles later; True without impacts.
 
-        A chaotic motion that varies by less than the tolerance seems to settle now and then. The rig is returned to its
-        present state after this check.
+        A chaotic motion that varies by less than the tolerance seems to settle now and then. The result is also True if
+        the sphere is in contact now. The rig is returned to its present state after this check.
         """
         before = self.simulation.state()
         if before is None or not len(record.speed):
@@ -361,10 +361,11 @@ class MapRig:
 
 
 def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
-    """Return x_b, x_1, x_2 and v_2 of each cycle, made dimensionless by mean amplitudes, shape (4, cycles).
+    """Return x_b, x_1, x_2 and v_2 of each cycle, divided by sizes of the motion, shape (4, cycles).
 
-    The amplitude x_b of the inferior base is divided by its own mean, the other three by that of the superior base (and
-    the drive frequency in rad/s, for the velocity). The result is None if the mean amplitude of a base is zero.
+    The complex amplitude x_b of the inferior base is divided by the magnitude |X_b| of its mean over all cycles, the
+    other three by that of the superior base, |X_1|. The velocity is also divided by the drive frequency in rad/s. The
+    result is None if X_b or X_1 is zero.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()

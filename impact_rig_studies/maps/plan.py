@@ -95,7 +95,8 @@ class MapLine(HashedTask):
         """Convert the rows that were stored for this line to readings, one for each value in `values`.
 
         Raises:
-            ValueError: the number of rows is wrong, or a row is not a valid reading.
+            ValueError: the number of rows is wrong, or a row is not a valid reading. `TaskStore.get` then counts the
+                line as not measured, so that the next run measures it again.
         """
         if len(rows) != len(self.values):
             raise ValueError(f"a line of {len(self.values)} points cannot have {len(rows)} stored readings")

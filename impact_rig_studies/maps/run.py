@@ -122,7 +122,7 @@ def write_results(done: FinishedMap, more: dict[str, object]) -> None:
 
     Args:
         done: the map with its results.
-        more: further entries of `map.json`, such as the optimum.
+        more: further entries of `map.json`, such as the optimum; they replace standard entries of the same name.
     """
     files.write_csv(done.directory / CSV_FILE, *table(done))
     regimes = {

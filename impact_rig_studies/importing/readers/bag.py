@@ -154,7 +154,10 @@ class _Series:
             self.columns[field].append(value)
 
     def _add_cloud(self, message: Any, stamp_ns: int) -> None:
-        """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's column `time` [s]."""
+        """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's `time` or `t` [s].
+
+        If a message of several rows has no such column, only set `left_out`. A single row needs none.
+        """
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]
         layout = np.dtype(

@@ -143,7 +143,8 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 def _seen_instead(lines: Sequence[str]) -> str:
     """Return the end of the message that no row of numbers was found: a line from the second half of the file.
 
-    If this line is a row of numbers, the rows of the file have changed, for example by an added column.
+    If this line is a row of numbers, the later rows of the file have another form than the first ones, for example one
+    more column.
     """
     sample = _sample(lines)
     if len(lines) <= 1 or not sample:
@@ -163,7 +164,7 @@ def _sample(lines: Sequence[str]) -> list[str]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line, without blanks around them.
+    """Return the cells of a line, without blanks and double quotes around them.
 
     A `delimiter` of None means blanks; delimiters within double quotes do not separate.
     """
@@ -207,6 +208,7 @@ def _end(lines: Sequence[str], layout: Layout) -> int:
     """Return the index of the line after the last row of numbers.
 
     It is searched from the end of the file, across at most `TRAILING_LINES` other lines; empty ones do not count.
+    Further lines remain in the table, so that `read_rows` rejects the file if they are not rows.
     """
     end = len(lines)
     for _ in range(TRAILING_LINES):

@@ -88,7 +88,10 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
-        raise RecordingError(f"{path} is not a LabVIEW measurement file: its first line is not {BEGIN!r}")
+        raise RecordingError(
+            f"{path} is not a LabVIEW measurement file: its first line does not begin with {BEGIN!r}; if it is another "
+            "table of text, rename it to .txt"
+        )
     return read_lines(path, lines)
 
 

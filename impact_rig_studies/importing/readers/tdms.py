@@ -134,7 +134,10 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
 
 
 def _listed_times(group: object) -> tuple[str, Real] | None:
-    """Return name and times [s] of the first channel of a group that contains times; None if there is none."""
+    """Return name and times [s] of the first channel of a group that contains times; None if there is none.
+
+    Numbers of seconds are returned as they are, dates as seconds since the first one.
+    """
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)
         values = np.asarray(channel[:])

@@ -107,7 +107,7 @@ def _add(
 ) -> None:
     """Add a dataset of type 58 (a function) to `signals`, or to `left_out` with the reason.
 
-    `number` is its position in the file, and `system` the unit of length for values without a unit.
+    `number` is its position in the file from 0, and `system` the unit of length for values without a unit.
     """
     words = [str(one.get(key, "")).strip() for key in ("id1", "rsp_ent_name")]
     plain = next((word for word in words if word and word.upper() != "NONE"), f"dataset_{number}")
