@@ -109,7 +109,7 @@ class Manifold:
     A is the amplitude of the structure and b half the gap. The amplitude of the sphere is Θ b.
 
     Attributes:
-        restitution: realised restitution of the impacts, in (0, 1).
+        restitution: restitution of the impacts in (0, 1), as the contact law realises it, not its nominal value.
         mass_ratio: μ, mass of the sphere over that of the structure; 0 means that the structure does not recoil.
 
     Raises:

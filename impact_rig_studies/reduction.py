@@ -48,7 +48,7 @@ from impact_rig.analysis.uncertainty_budget import AMPLITUDES
 
 @attrs.frozen
 class Reduction:
-    """Reduction of the transmissibility DT by the damper, relative to DT without the damper (DT_0)."""
+    """Reduction of the transmissibility DT by the damper in percent of DT without the damper (DT_0)."""
 
     percent: float  # 100 (1 − DT / DT_0)
     u_points: float  # standard uncertainty of `percent`, in percentage points
@@ -102,9 +102,10 @@ def repeatability(rows: NDArray[np.void], calibration: Calibration) -> float:
 
 
 def _steps(rows: NDArray[np.void]) -> float:
-    """Return the relative variance of DT due to the resolution steps of sensors and converter, common to all rows.
+    """Return the relative variance of DT due to the resolution steps of sensors and converter: the mean over the rows.
 
-    A row counts as 0 if its column `steps_uncertainty` is NaN, as in rows of an earlier version.
+    All rows have the same error of this kind, so their mean DT has this variance as well. A row counts as 0 if its
+    column `steps_uncertainty` is NaN, as in rows of an earlier version.
     """
     return float(np.mean((np.nan_to_num(rows["steps_uncertainty"]) / rows["transmissibility"]) ** 2))
 

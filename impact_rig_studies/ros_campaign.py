@@ -38,7 +38,7 @@ It is first called with None, before the rig is prepared, then with the sweep at
 
 
 def run_name(job: Job) -> str:
-    """Return the name of a job's recording, a directory: it consists of gap, frequencies and key of the job."""
+    """Return the name of a job's recording, a directory: gap, frequencies and key, as in `gap4mm_9.1Hz_<key>`."""
     case = job.describe().replace(", ", "_").replace(" ", "")
     return f"{case}_{job.key}"
 

@@ -208,7 +208,7 @@ class PhaseLock:
         return self.state is SweepState.RUNNING and self.stage is Stage.LOCKED
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search at a rig time, and return its first setpoint."""
+        """Start the search at a rig time, and return its first setpoint; a lock must not be started a second time."""
         self._began_ns = self._held_ns = now_ns
         self.state = SweepState.RUNNING
         return self._setpoint()
@@ -216,8 +216,8 @@ class PhaseLock:
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
         """Continue at the present frequency with another peak current, and return the setpoint.
 
-        If the phase is not locked within the plan's `lose_limit_s` from now on, the lock is aborted. For a lock whose
-        phase has never been locked, this limit is `seek_limit_s`.
+        From `now_ns` on, the phase may take the plan's `lose_limit_s` to lock again, or `seek_limit_s` if it has never
+        been locked; after that the lock is aborted. If the lock is not running, the setpoint has zero current.
         """
         self.current_a = current_a
         self.unlock(now_ns)
@@ -318,7 +318,7 @@ class PhaseLock:
         return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
 
     def _adapt(self, detuned: float) -> None:
-        """Correct the slope (Hz per tan φ') of a lock against the current, from the signs of successive detunings.
+        """Correct the slope [Hz per tan φ'], from the signs of successive detunings, if the reference is the current.
 
         Args:
             detuned: tan φ' of the newest sample.
@@ -388,8 +388,8 @@ class LockedSine:
     Args:
         plan: range, speeds and limits of the search and of the lock.
         info: rows of `daq/info`, with the calibration and the scan rate.
-        accept_limit_s: rig time within which a command must be accepted, and after it the next scans must arrive;
-            otherwise the lock is aborted.
+        accept_limit_s: rig time that the rig may take to accept a command, and then between two blocks of scans; the
+            lock is aborted if one of them takes longer.
 
     Attributes:
         measured: number of samples so far.
@@ -443,7 +443,7 @@ class LockedSine:
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 
     def start(self, now_ns: int) -> Setpoint:
-        """Start the search at a rig time, and return its first setpoint."""
+        """Start the search at a rig time, and return its first setpoint; a lock must not be started a second time."""
         return self._ask(self._lock.start(now_ns), now_ns)
 
     def on_applied(self, frequency_hz: float, current_a: float, now_ns: int) -> Setpoint | None:
@@ -641,8 +641,8 @@ class Mean(NamedTuple):
 def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     """Return resonance frequency and transmissibility as means of the samples of a lock, with their uncertainties.
 
-    If the inferior base is the reference of the lock, the resonance is (f/2) Re(X_b/X_1) above the frequency f of a
-    sample, for any damping. The mean of this detuning is not corrected, but is a part of the uncertainty.
+    The detuning (resonance minus drive frequency f) of a sample is (f/2) Re(X_b/X_1), if the inferior base is the
+    reference of the lock. Its mean is not added to the returned frequency, but is a part of the uncertainty.
 
     Args:
         rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.

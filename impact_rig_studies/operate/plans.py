@@ -25,7 +25,7 @@ from impact_rig.errors import ConfigError
 
 
 class Direction(enum.StrEnum):
-    """Order of the frequencies of a sweep: ascending, descending, or ascending and then descending without a reset."""
+    """Order of the frequencies of a sweep: ascending, descending, or both in this order without a reset of the rig."""
 
     UP = "up"
     DOWN = "down"
@@ -119,7 +119,7 @@ class SweepPlan:
 
 
 class Hold(enum.StrEnum):
-    """Quantity whose measured amplitude can be controlled: current, or motion of the inferior or superior base."""
+    """Quantity whose measured amplitude can be controlled: current, or displacement of inferior or superior base."""
 
     CURRENT = "current"
     BASE = "base"

@@ -62,7 +62,8 @@ They are due to a change of command, label or calibration, or to a drive frequen
 def sweep_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Convert rows of a measurement to rows of `blocks.SWEEP`, which has the columns of a sweep's file and topic.
 
-    Missing columns are filled: NaN for floating-point numbers, 0 or empty for others and for `waited`.
+    Missing columns of floating-point numbers are filled with NaN, except for `waited`. That and all other missing
+    columns are filled with 0 or empty texts.
 
     Args:
         rows: structured array with some of these columns, shape (n,).
@@ -124,7 +125,7 @@ class SteppedSine:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Number of completed points, and number of all points of the sweep."""
+        """Number of completed points (measured or skipped), and number of all points of the sweep."""
         return self._at, len(self._points)
 
     def describe(self) -> str:
@@ -181,10 +182,10 @@ class SteppedSine:
 
         It is that of the next point if this one is complete, or zero current if the sweep has finished or is aborted.
 
-        A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status
-        `not_settled`. Any other is a failed one, and more of these than the plan's `retries` abort the sweep. With the
-        plan's `skip_over_range`, they skip the point instead if the last status is `over_range`. Rows at another
-        frequency, and those that only report a change (`PASSING`), are ignored.
+        A settled measurement is accepted, and with the plan's `keep_unsettled` also one with the status `not_settled`.
+        Any other counts as failed. If more than the plan's `retries` have failed at a point, the sweep is aborted. With
+        the plan's `skip_over_range` it goes on to the next point instead, provided that the last status is
+        `over_range`. Rows at another frequency, and those that only report a change (`PASSING`), are ignored.
         """
         if self.state is not SweepState.RUNNING or not math.isclose(
             float(row["frequency"]), self.frequency_hz, rel_tol=SAME
@@ -307,7 +308,8 @@ class ControlledSine(SteppedSine):
     At each point, the amplitude is accepted within the tolerance of `hold`, or after its maximum number of corrections.
 
     Args:
-        plan: points and limits of the sweep; its current is the initial value at the first point.
+        plan: points and limits of the sweep. Its current is the initial value at the first point; each later point
+            begins with the last current of the point before.
         hold: controlled quantity, its target and limits.
     """
 
@@ -325,8 +327,8 @@ class ControlledSine(SteppedSine):
     def controlled(self) -> NDArray[np.void]:
         """Accepted measurements so far as rows of `blocks.SWEEP`, with the columns of the control.
 
-        These are the target, the relative error of the amplitude, whether it is within the tolerance (`held`), and the
-        number of corrections of the current at the point.
+        These are the target, the error of the amplitude (measured / target − 1), whether it is within the tolerance
+        (`held`), and the number of corrections of the current at the point.
         """
         rows = self.rows
         found = sweep_rows(rows)

@@ -38,7 +38,7 @@ LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is 
 
 @attrs.frozen
 class Cell:
-    """Cell of a table in a report that shows a number: its text for the page, and the number for `report.json`."""
+    """Cell of a table in a report that shows a number: its text, and the number in the same unit for `report.json`."""
 
     text: str
     value: float | Sequence[float] | None

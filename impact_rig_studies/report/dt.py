@@ -291,7 +291,10 @@ def draw_errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Dr
 def _residuals(
     x: ArrayLike, errors: ArrayLike, bars: ArrayLike, zero: tuple[str, str], label: str
 ) -> tuple[Figure, Axes]:
-    """Draw differences with error bars about the line zero; `zero` is the colour and the name of this line."""
+    """Draw differences with error bars about the line zero.
+
+    `zero` is the colour of this line and its name in the legend, and `label` the name of the differences there.
+    """
     figure, (axis,) = new_axes(3.0)
     axis.axhline(0.0, color=zero[0], linewidth=1.0, label=zero[1])
     axis.errorbar(x, errors, bars, color=MEASURED, marker="o", linestyle="none", capsize=3.0, label=label)
@@ -306,7 +309,7 @@ REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
 
 
 def colour(gap_m: float) -> str:
-    """Return the colour in which a gap, or no sphere, is drawn in all figures; `INK` for a gap not in the paper."""
+    """Return the colour of a gap [m], or of `NO_SPHERE`, in all figures; `INK` for a gap that is not in the paper."""
     gaps = list(REDUCTION_PERCENT)
     return MUTED if gap_m == NO_SPHERE else SERIES[gaps.index(gap_m)] if gap_m in gaps else INK
 
@@ -317,7 +320,7 @@ def curve(curves: Curves, gap_m: float) -> list[Point]:
 
 
 def papers_dt(curves: Curves, gap_m: float) -> float | None:
-    """Return the DT at 9.1 Hz that the paper's reduction for a gap predicts from the measured DT without sphere.
+    """Return the DT at 9.1 Hz that the paper's reduction for one of its gaps predicts from our DT without sphere.
 
     It is None if DT without sphere was not measured at 9.1 Hz.
     """
@@ -326,7 +329,7 @@ def papers_dt(curves: Curves, gap_m: float) -> float | None:
 
 
 def case(gap_m: float) -> str:
-    """Return the name of a gap in legends, such as `4 mm` or `no sphere`."""
+    """Return the name of a gap [m] in legends, such as `4 mm`, or `no sphere` for `NO_SPHERE`."""
     return case_of(gap_m).removeprefix("gap ")
 
 
@@ -405,7 +408,10 @@ def damper_effects(curves: Curves, calibration: Calibration) -> dict[float, dict
 
 
 def draw_damper(curves: Curves, calibration: Calibration) -> Iterator[Drawn]:
-    """Draw added mass and loss factor of the sphere over the frequency, one line per gap, ± 2u."""
+    """Draw added mass and loss factor of the sphere over the frequency in one figure, one line per gap, ± 2u.
+
+    Gaps with fewer than two frequencies are left out; nothing is drawn if none remain.
+    """
     found = {gap: own for gap, own in damper_effects(curves, calibration).items() if len(own) > 1}
     if not found:
         return

@@ -58,8 +58,8 @@ class ResultSummary:
 def tell(found: object, unit: str = "") -> ResultSummary:
     """Summarise the latest result of a test that plays samples, such as `Reached` or `Frf`.
 
-    If a key figure cannot be computed, the summary says so in `missing` instead of its sentences. `unit` is that of the
-    response, or of the frequency response.
+    If a key figure cannot be computed, `missing` of the summary says so, and is also its only sentence. `unit` is that
+    of the response, or of the frequency response.
     """
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]
@@ -262,9 +262,11 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 
 
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
-    """Return an error of a shock as text, with the noise floor: the error that the sensors' noise alone causes.
+    """Return the deviation of a shock from the request as text, such as that of its peak or its response spectrum.
 
-    `name` is the attribute of `found` with the error. Both values are multiplied by `factor` and shown in `unit`.
+    The text includes the noise floor, which is the error that the sensors' noise alone causes. If the error is not
+    above it, the text says "as requested". `name` is the attribute of `found` with the error. Both values are
+    multiplied by `factor` and shown in `unit`.
     """
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:

@@ -99,7 +99,7 @@ def _drawn(
         plan: plan of the map, which defines its axes.
         name: name of the figure.
         title: title of the figure.
-        z: values, shape (n, m).
+        z: values, shape (n, m) for n values of the first axis and m of the second.
         groups: class of motion at each point, shown in a second picture. None means that `z` contains signed
             differences, which are shown alone, in colours about zero.
         unit: label of the values, with their unit.
@@ -139,7 +139,10 @@ def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _regimes(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
-    """Fill the cells with the edges x and y with the colours of their classes `groups`, which the legend names."""
+    """Fill the cells with the edges x and y with the colours of their classes `groups`, which the legend names.
+
+    `groups` has the shape (len(x) − 1, len(y) − 1).
+    """
     from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
 
     colours = ListedColormap([REGIMES[group][1] for group in sorted(REGIMES)])

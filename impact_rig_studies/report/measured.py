@@ -342,7 +342,7 @@ def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
 def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
     """Yield drawings of the time traces and of the spectrum in the last settled measurement of a run.
 
-    `found` contains the findings of the analysis of the run.
+    Without a settled one, they show the end of the run. `found` contains the findings of the analysis of the run.
     """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)

@@ -129,7 +129,8 @@ def study_figures(
 def _place(point: Point) -> dict[str, float | str]:
     """Return the value of each axis at a point, by name of the axis: numbers as floats, all else as texts.
 
-    The axes are frequency, gap, current and direction of every point, and those that the study varies.
+    The axes are frequency, gap (`NO_SPHERE` without a sphere), current and direction of every point, and those that the
+    study varies. Numbers are in SI units.
     """
     place: dict[str, float | str] = {
         "frequency_hz": point.frequency_hz,
@@ -154,7 +155,8 @@ def _word(name: str, value: float | str) -> str:
 def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[float, float]:
     """Return the reduction of DT at a point relative to DT without sphere, and its standard uncertainty.
 
-    The reduction is in percent, its uncertainty in percentage points.
+    The reduction is in percent, its uncertainty in percentage points. The reference rig must have been measured without
+    sphere at this frequency.
     """
     without = curves.at(NO_SPHERE, point.frequency_hz)
     assert without is not None
@@ -163,7 +165,7 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 
 
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
-    """Draw DT along continued branches of the model's motions, with the measurements at the same values.
+    """Draw DT along continued branches of the model's motions, with measurements at the values held along them.
 
     Args:
         name: name of the figure.
