@@ -143,7 +143,7 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
         topic: topic of the table (an entry of `impact_rig.topics`, such as `impact_rig.topics.SCAN`), whose columns and
             values are then checked; None allows any columns and values.
         needs: names of columns that the table must have in addition to those of `topic`, such as the channels of a
-            scan; ignored without `topic`.
+            scan.
 
     Returns:
         The table. Its rows are a read-only view of `data`, or a new array if `topic` has columns that `data` lacks or
@@ -166,7 +166,11 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
         - `Run`: reads tables from a recording.
     """
     table = _decode(data)
-    return table if topic is None else checked(table, topic, needs)
+    if topic is not None:
+        return checked(table, topic, needs)
+    if missing := [name for name in needs if name not in (table.rows.dtype.names or ())]:
+        raise CodecError(_missing(missing))
+    return table
 
 
 def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
@@ -204,6 +208,10 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
     return table if rows is table.rows else Table(table.stamp_ns, rows, table.frame_id)
 
 
+def _missing(names: Sequence[str]) -> str:
+    return f"column {', '.join(map(repr, names))} is missing"
+
+
 @attrs.frozen(eq=False)
 class _Plan:
     """Conversions and checks that `checked` applies to tables of one topic whose rows have one numpy type."""
@@ -233,7 +241,7 @@ def _plan(topic: Topic, found: np.dtype[np.void], needs: tuple[str, ...]) -> _Pl
     missing = [column.name for column in absent if column.default is None]
     missing += [name for name in needs if name not in there]
     if missing:
-        raise CodecError(f"{topic.name}: column {', '.join(map(repr, missing))} is missing")
+        raise CodecError(f"{topic.name}: {_missing(missing)}")
     for name, wanted in kinds:
         got = there.get(name, wanted)
         if (got.kind == "S") != (wanted.kind == "S") or not np.can_cast(got, wanted, "safe"):

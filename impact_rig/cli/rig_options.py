@@ -108,9 +108,11 @@ def run_directory(wanted: Path | None, what: str) -> Path:
     The directory is not created.
 
     Raises:
-        ImpactRigError: the directory is not empty.
+        ImpactRigError: it exists and is a file or not empty.
     """
     directory = (wanted or free_path(Path("runs") / time.strftime(f"{what}_%Y%m%d_%H%M%S"))).resolve()
+    if directory.exists() and not directory.is_dir():
+        raise ImpactRigError(f"{directory} is a file, not a directory: choose another --output")
     if directory.exists() and any(directory.iterdir()):
         raise ImpactRigError(f"{directory} is not empty: nothing is overwritten, choose another --output")
     return directory

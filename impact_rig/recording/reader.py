@@ -697,7 +697,7 @@ def _items(
             if topic is None:
                 raise DamageError(f"a message belongs to the unknown channel {raw.channel_id}")
             if topic.encoding == description.SERIALIZATION and bytes(data[:4]) == records.ZSTD_MAGIC:
-                data = records.plain_message(data, budget.CHUNK_BYTES)
+                data = records.plain_message(data, budget.raised(budget.CHUNK_BYTES))
                 account.chunk(len(data))
             message = Message(topic.name, topic.type_name, raw.log_time, raw.publish_time, raw.sequence, data)
             items.append((raw.log_time, number_of_place, number, message))

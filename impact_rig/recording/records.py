@@ -33,6 +33,7 @@ from mcap import records as mcap_records
 from mcap.data_stream import ReadDataStream
 
 from impact_rig.errors import RecordingError
+from impact_rig.system import budget
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
@@ -180,7 +181,10 @@ def plain_message(data: memoryview, most: int) -> memoryview:
     try:
         claimed = zstandard.get_frame_parameters(data).content_size
         if claimed != zstandard.CONTENTSIZE_UNKNOWN and claimed > most:
-            raise DamageError(f"a compressed message states a size of {claimed} bytes, the limit is {most} bytes")
+            raise DamageError(
+                f"a compressed message states a size of {claimed} bytes, the limit is {most} bytes; if you trust the "
+                f"source, set the environment variable {budget.VARIABLE}=N to allow N times the default"
+            )
         content = zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
     except zstandard.ZstdError as error:
         raise DamageError(f"a compressed message cannot be decompressed: {error}") from error

@@ -733,7 +733,7 @@ class _Salvage:
                 unknown += 1
                 continue
             if topic.encoding == description.SERIALIZATION and bytes(message.data[:4]) == records.ZSTD_MAGIC:
-                data = records.plain_message(message.data, budget.CHUNK_BYTES)
+                data = records.plain_message(message.data, budget.raised(budget.CHUNK_BYTES))
                 self._report.account.chunk(len(data))
                 yield topic, message._replace(data=data)
             else:

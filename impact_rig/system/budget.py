@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from typing import Any  # PyYAML's nodes
 
 import attrs
@@ -92,6 +93,15 @@ def factor() -> float:
     if not value >= 1.0:
         raise BudgetError(f"the environment variable {VARIABLE} must be a number >= 1, got {text!r}")
     return value
+
+
+def raised(limit: int) -> int:
+    """Return a limit multiplied by `factor`, at most the largest size of an object in memory.
+
+    Raises:
+        BudgetError: the environment variable is not a number >= 1.
+    """
+    return int(min(limit * factor(), sys.maxsize))
 
 
 @attrs.define

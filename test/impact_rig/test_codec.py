@@ -438,6 +438,8 @@ def test_a_scan_needs_the_requested_channels_as_numbers():
     with pytest.raises(CodecError, match="daq/scan: column 'accelerometer' is missing"):
         checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("accelerometer", "laser"))
     assert checked(changed(scan, drop=("accelerometer",)), topics.SCAN, ("laser",)).rows["laser"].shape == (3,)
+    with pytest.raises(CodecError, match=r"^column 'laser' is missing$"):
+        decode(encode(changed(scan, drop=("laser",))), needs=("laser",))
     with pytest.raises(CodecError, match=r"daq/scan: column 'laser' must be of type <f8, got \|S32"):
         checked(changed(scan, kinds={"laser": TEXT}), topics.SCAN)
 

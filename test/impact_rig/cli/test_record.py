@@ -86,6 +86,13 @@ def test_a_trip_ends_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture
     check(tmp_path / "run")
 
 
+def test_a_file_is_no_directory_for_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run").write_text("mine")
+    assert main(["record", "--seconds", "1", "--output", str(tmp_path / "run")]) == 1
+    assert "run is a file, not a directory: choose another --output" in " ".join(capsys.readouterr().err.split())
+    assert (tmp_path / "run").read_text() == "mine"
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [

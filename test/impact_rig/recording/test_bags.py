@@ -31,6 +31,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from impact_rig.errors import RecordingError
 from impact_rig.recording import Message, RunWriter, open_run
 from impact_rig.runs import info, recover
+from impact_rig.system import budget
 
 Change = Callable[[bytes], bytes]
 
@@ -196,11 +197,15 @@ def test_individually_compressed_messages_are_read(native, tmp_path):
     )
 
 
-def test_a_message_that_claims_an_excessive_size_is_rejected(native, tmp_path):
-    bomb = zstandard.ZstdCompressor().compress(bytes(64 * 2**20))
-    path = rewrite(native, tmp_path / "bomb.mcap", lambda data: bomb if b"gap" in data else data)
-    with pytest.raises(RecordingError, match=r"bomb\.mcap: a compressed message states .*; impact-rig recover"):
+def test_a_message_that_claims_an_excessive_size_is_rejected_unless_the_user_raises_the_limit(
+    native, tmp_path, monkeypatch
+):
+    bombs = iter([zstandard.ZstdCompressor().compress(bytes(33 * 2**20))])
+    path = rewrite(native, tmp_path / "bomb.mcap", lambda data: next(bombs, data))
+    with pytest.raises(RecordingError, match=r"bomb\.mcap: a compressed message states .*_BUDGET=N .*; impact-rig rec"):
         content(path)
+    monkeypatch.setenv(budget.VARIABLE, "2")
+    assert len(content(path)[0][1]) == 33 * 2**20
 
 
 def test_a_channel_without_a_schema_is_valid(native, tmp_path):
