@@ -40,7 +40,7 @@ The function receives the suffix of the file to write, such as `.csv`.
 def map_points(directory: Path) -> Tables | None:
     """Return the map in a directory as the table `points`; None if the directory contains no map.
 
-    The table is a function, so that the map is read only if it is exported.
+    The map is read only when the table is exported, by the function that stands for the table (see `Tables`).
     """
     if not maps.store(directory).file.exists():
         return None

@@ -190,7 +190,9 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
     rate_hz = (len(rows) - 1) / seconds
     for table, after in itertools.pairwise(tables):
         if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
-            raise RecordingError(f"{path}: scans are missing in the run; a signal to play must have no gap")
+            raise RecordingError(
+                f"{path}: scans are missing in the run, but a signal to play must have no gap; use another run"
+            )
     return rows, round(rate_hz, 3)
 
 

@@ -79,8 +79,8 @@ class ReplicatePlan:
         enough: rms error over rms of the requested history at or below which the trials end.
         rest_s: time without drive before and after the history in each trial [s].
         identify_rms: rms of the drive while the response function is measured [A].
-        identify_s: time by which a frame of that measurement is longer than a trial without a burst [s]; four frames
-            are played.
+        identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
+            played.
         burst_s: duration of the burst before each trial, if one is needed [s]; at most `identify_s` is used.
         response: response that follows the history, one of `Response`.
         seed: seed of the random phases of the drive while the response function is measured.
@@ -230,7 +230,8 @@ def _steadying(
         on_step: receives a description of each step for the user.
 
     Returns:
-        Drive of this burst [A], shape (n,); empty if trials agree, or agree best, without a burst.
+        Drive of this burst [A], shape (n,). It is empty if trials agree without a burst, or if no burst improves their
+        agreement.
     """
     scatters, tried = [], []
     for amplitude in BURSTS:
@@ -382,7 +383,8 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
             samples beyond the range of its shaker.
 
     Yields:
-        The part played so far, once per second of rig time and at the end.
+        The part played so far, once per second of rig time and at the end. The drive is stopped after the last result.
+        After an error, or if you do not iterate to the end, call `hardware.output.stop()`.
 
     Raises:
         CommandError: the shaker trips, or rejects a sample.

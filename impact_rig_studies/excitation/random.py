@@ -170,6 +170,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
 
     Yields:
         The result after each loop. The last one is the final measurement after all corrections.
+        The drive is stopped after it. After an error, or if you do not iterate to the end, call
+        `hardware.output.stop()`.
 
     Raises:
         CommandError: the shaker trips or rejects the drive, or the response exceeds the request by more than

@@ -69,7 +69,8 @@ class Response(enum.StrEnum):
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
         """Return the motion that the channel of this response measured, corrected for its sensor, shape (n,).
 
-        For `BASE_ACCELERATION` it is the displacement [m], not differentiated; for the others it is in `unit`.
+        It is in `unit`, except that `BASE_ACCELERATION` gives the displacement [m]: only spectra are converted to an
+        acceleration, by `weight`.
 
         Args:
             rows: consecutive rows of `daq/scan`, shape (n,).

@@ -171,7 +171,7 @@ def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[
     Args:
         displacement: the displacement [m], shape (n,).
         rate_hz: number of samples per second.
-        corner_hz: frequency from which the result is attenuated (to a half there), without a phase shift.
+        corner_hz: frequency at which the low-pass filter halves the result. The filter does not shift the phase.
     """
     padded = np.concatenate([displacement, np.zeros(len(displacement))])
     frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)

@@ -413,7 +413,8 @@ class _Held:
     def proposal(self) -> tuple[float, float]:
         """Estimate the e with the smallest χ², and return it with its standard uncertainty.
 
-        The residuals are extrapolated linearly from this fit, with constants and nuisance parameters free.
+        The residuals are extrapolated linearly from this fit, with constants and nuisance parameters free. They include
+        the prior of e, so the uncertainty is finite also if the data contain nothing on e.
         """
         others = np.concatenate([self.jacobian, self.bent], axis=1)
         size = np.maximum(np.linalg.norm(others, axis=0), 1e-30)
@@ -526,7 +527,7 @@ class _Profile:
         """Add to `held` fits at values of e that approach the minimum of χ² near the fit `here`.
 
         `held` contains the fits by their e. The search ends after `PROPOSED` fits, or if the next e would be out of
-        range or close to one in `held`, or if its fit fails or is worse.
+        range or close to one in `held`. It also ends if the fit there fails or is worse, which is then not added.
         """
         for _ in range(PROPOSED):
             e, u = here.proposal()
@@ -656,7 +657,7 @@ class _Profile:
 
 
 def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]]:
-    """Return mean and covariance of the log constants and, last, e over a profile of fits, weighted by probability.
+    """Return mean and covariance of the 8 values (log constants, e) over a profile of fits, weighted by probability.
 
     The third result contains the separate explanations of the data, the most probable first. It is empty if they do not
     differ clearly, or there is only one.

@@ -157,9 +157,10 @@ def with_channel(channels: AnyMapping[str, Channel], text: str, signals: AnyMapp
     """Return channels with one changed by the text of an option `--channel`.
 
     The text names the channel and its signal, which may be followed by a unit and a sensitivity: `laser=ai0`,
-    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel. A channel keeps its other properties, such
-    as its sign. The names in `signals` show where a signal's name with blanks ends, and their units apply if the text
-    states none. A name that is not in `signals` is accepted.
+    `laser=ai0 mm`, `laser=ai0 V, 500 mV/mm`. `laser=` removes the channel. Unit and sensitivity
+    of the channel are replaced, also if the text states none; it keeps its other properties, such as its sign. The
+    names in `signals` show where a signal's name with blanks ends, and their units apply if the text states none. A
+    name that is not in `signals` is accepted.
 
     Raises:
         ConfigError: the text is malformed, or its channel is unknown.

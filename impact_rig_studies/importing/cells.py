@@ -84,7 +84,7 @@ def is_unclear(cell: str) -> bool:
 
 
 def without_markers(values: Real) -> Real:
-    """Return numbers with the special values of SCPI instruments replaced: ±9.91e37 by NaN, ±9.9e37 by ±infinity."""
+    """Return a copy of numbers in which those exactly equal to ±9.91e37 are NaN, and ±9.9e37 are ±infinity (SCPI)."""
     size = np.abs(values)
     return np.where(size == SCPI_NAN, np.nan, np.where(size == SCPI_INFINITY, np.copysign(np.inf, values), values))
 

@@ -74,9 +74,9 @@ def signals_of(
 ) -> ImportedSignals:
     """Return the columns of a table as signals with a common abscissa.
 
-    A two-dimensional column becomes several signals, along its longer side: one for each index of the shorter side.
-    Columns that are not signals, such as texts or single values next to longer columns, are listed in `left_out` of the
-    result, with the reason for the user.
+    A two-dimensional column becomes as many signals as its shorter side is long, each with the values along the longer
+    side. Columns that are not signals, such as texts or single values next to longer columns, are listed in `left_out`
+    of the result, with the reason for the user.
 
     Args:
         path: the file.
@@ -239,7 +239,8 @@ def _axis(
 def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
     """Return the names of the columns that give the times: the first of `clocks`, and one that completes it, if any.
 
-    The first column of times of day completes a column of dates without a time of day, and the other way round.
+    `clocks` must not be empty. The first column of times of day completes a column of dates without a time of day, and
+    the other way round.
     """
     name, times = clocks[0]
     completing = (

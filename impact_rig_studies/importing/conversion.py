@@ -221,10 +221,12 @@ def _fits(one: Signal, other: Signal) -> bool:
 
 
 def _common(source: ImportedSignals, signals: AnyMapping[str, Signal]) -> tuple[Abscissa, int, dict[str, float]]:
-    """Return abscissa and length that all channels share, and by channel how much later it starts than the first [s].
+    """Return the abscissa of the first channel, its length, and by channel how much later it starts than that one [s].
+
+    The difference is negative for a channel that starts earlier.
 
     Raises:
-        RecordingError: the signals have different times or lengths.
+        RecordingError: the signals have different lengths, or times that differ by more than half a sampling period.
     """
     (first_name, first), *others = signals.items()
     for name, one in others:
@@ -332,8 +334,8 @@ def _calibration(
         if not rows["range_low"][place] < rows["range_high"][place]:
             low, high = rows["range_low"][place], rows["range_high"][place]
             raise ConfigError(
-                f"calibration of the channel {name} in the mapping or its table: range_low must be < range_high, "
-                f"got {low:g} and {high:g}"
+                f"range_low of the channel {name} must be < range_high, got {low:g} and {high:g} {si_units[name]}; "
+                "correct it in the file of --mapping or --calibration"
             )
     rows["rate"], rows["since_start"] = rate, 0.0  # its stamp in the run is that of scan 0
     return rows, estimated
@@ -372,7 +374,8 @@ def _commands(
 ) -> tuple[tuple[int, float, float], ...]:
     """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
 
-    They are those of the table `drive`. Without it, the values of the frequency signal `followed` are used, with a
+    They are those of the table `drive`. Its times count from the same instant as those of `source`, unless both contain
+    dates. Without it, the values of the frequency signal `followed` are used, with a
     command at each change, and without that signal the single frequency of the mapping.
 
     Raises:
@@ -440,8 +443,8 @@ def _frequency_of(
 
     The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest
     part without a missing value. Lines are compared as displacements. This raises the noise of an accelerometer at low
-    frequencies, so that lines above the noise around them take precedence. A clear sine has more power than the rest of
-    the signal.
+    frequencies. Therefore lines clearly above the noise around them take precedence over larger ones that are not. A
+    clear sine has more power than the rest of the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

@@ -30,7 +30,7 @@ _NO_SPHERE = re.compile(
 
 
 def frequency_hz(stem: str) -> float | None:
-    """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz` or `9.1 hz`.
+    """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz`, `9.1 hz` or `1kHz`.
 
     It is None if the name has no frequency above 0, or several that differ. A frequency after `fs` or `rate` does not
     count, because it is a sampling rate.

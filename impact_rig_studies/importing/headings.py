@@ -81,7 +81,10 @@ def is_time_name(name: str) -> bool:
 
 
 def _time_suffix(name: str) -> str | None:
-    """Return the unit at the end of a name of times such as `time_ms` or `timeMs`; None without one, or for others."""
+    """Return the unit at the end of a name such as `time_ms` or `timeMs`.
+
+    It is None if the name has no unit, or is not a name of times.
+    """
     match = _TIME_SUFFIX.fullmatch(name[:80].strip())
     return (match[2] or match[3]).lower() if match and bare(match[1]) in TIME_NAMES else None
 

@@ -89,7 +89,10 @@ def run(
                 "N times the default"
             )
         how = f" ({signal.strsignal(ended_by)})" if ended_by else ""
-        raise RecordingError(f"{path} cannot be read: the process that reads it as {what} crashed{how}; is it damaged?")
+        raise RecordingError(
+            f"{path} cannot be read: the process that reads it as {what} crashed{how}; it may be damaged: export it "
+            "again, or in another format"
+        )
     reply: dict[str, Any] = json.loads(head)
     if _REFUSED in reply:
         kind = budget.BudgetError if reply["budget"] else RecordingError
