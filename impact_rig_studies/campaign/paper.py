@@ -71,7 +71,8 @@ class Reductions:
         If the measurement without the sphere is missing, there are no reductions, and `dt_no_sphere` is NaN.
 
         Args:
-            rows: settled rows of `transmissibility/table` by gap; key `NO_SPHERE` means without the sphere.
+            rows: settled rows of `transmissibility/table` by gap, at least one for each; key `NO_SPHERE` means without
+                the sphere.
             calibration: calibration of the instruments of all measurements.
         """
         without = rows.get(NO_SPHERE)

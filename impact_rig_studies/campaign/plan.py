@@ -72,7 +72,10 @@ class Study:
 
     @property
     def points(self) -> int:
-        """Number of combinations of values times repetitions; `up_down`, which measures each twice, counts once."""
+        """Number of combinations of values times repetitions.
+
+        With the direction `up_down`, twice as many points are measured.
+        """
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
         return self.repetitions * math.prod(map(len, axes))
 

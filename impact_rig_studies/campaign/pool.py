@@ -186,9 +186,9 @@ def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
 def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], Generator[tuple[P, R], None, None]]:
     """Return a function that runs jobs on the Dask cluster at `address`, and yields each with the result of `work`.
 
-    The returned function waits for workers if the cluster has none. A worker with other code than this process is
-    reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed; then the
-    returned function raises an ImpactRigError. It also raises one if no worker has the code of this process.
+    The returned function waits without a time limit if the cluster has no workers. A worker with other code than this
+    process is reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed;
+    then the returned function raises an ImpactRigError. It also raises one if no worker has the code of this process.
 
     Raises:
         ConfigError: Dask is not installed.

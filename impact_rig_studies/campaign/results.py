@@ -250,8 +250,11 @@ def write_summary(
     """Write `summary.json`, the figures of a campaign or demo for other programs, and return them.
 
     `lost_blocks` is the number of blocks of scans that never reached the analysis. `wall_s` is the duration by this
-    machine's clock, `simulated_s` in rig time. `more` has further entries of the file, which replace those of the same
-    name.
+    machine's clock, `simulated_s` in rig time. `seed` is the seed of the rig (`daq.seed`). `more` has further entries
+    of the file, which replace those of the same name.
+
+    Raises:
+        OSError: the file cannot be written.
     """
     content = {
         "version": impact_rig.__version__,

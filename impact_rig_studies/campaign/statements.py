@@ -168,7 +168,9 @@ def _falls_beyond_optimum(curves: Curves) -> Judgement:
     points = [point for gap in curves.gaps() if (point := curves.at(gap, FREQUENCY_HZ)) is not None]
     gaps = [point.gap_m for point in points if point.impacts]
     if not gaps or max(gaps) <= max(GAPS_M):
-        raise MissingError(f"impacting orbits at {FREQUENCY_HZ:g} Hz with gaps wider than {max(GAPS_M) * 1e3:g} mm")
+        raise MissingError(
+            f"settled points with impacts at {FREQUENCY_HZ:g} Hz, gaps wider than {max(GAPS_M) * 1e3:g} mm"
+        )
     reductions = {gap: _reduction(curves, gap) for gap in gaps}
     best = max(gaps, key=lambda gap: reductions[gap])
     beyond = {gap: reductions[gap] for gap in gaps if gap > best}
@@ -203,7 +205,7 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)
     near = curve[max(top - 1, 0) : top + 2]
     if len(near) < 3 or near[2][0] - near[0][0] > 2.0 * PEAK_STEP_HZ:
-        raise MissingError(f"settled points 0.01 Hz apart on both sides of the highest DT, {case_of(gap_m)}")
+        raise MissingError(f"three settled points 0.01 Hz apart, the middle one with the highest DT, {case_of(gap_m)}")
     (left, a), (middle, b), (right, c) = ((frequency, point.dt) for frequency, point in near)
     rise, fall = (b - a) / (middle - left), (c - b) / (right - middle)
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))

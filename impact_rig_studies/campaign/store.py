@@ -157,7 +157,9 @@ class Store:
         part = _Checked(path, found)
         if part.text("key") != job.key:
             whose = part.text("job")[:SHOWN]
-            raise DamagedPointError(f"{path} holds the result of another job ({whose}): its key must be {job.key}")
+            raise DamagedPointError(
+                f"{path} holds the result of another job ({whose}): the key in it must be {job.key}"
+            )
         rows = part.each("rows", job.repetitions * len(job.plan().points()))
         names = TRANSMISSIBILITY.names or ()
         outcome = Outcome(
@@ -199,7 +201,7 @@ class Store:
                     f"{path}: column {name} must have at least one value, and as many as time, got {found}"
                 )
             if not np.all(np.abs(column) <= MOST):
-                raise DamagedPointError(f"{path}: column {name} must be finite and at most {MOST:g}")
+                raise DamagedPointError(f"{path}: column {name} must be finite and within ±{MOST:g}")
         if hashlib.sha256(packed).hexdigest() != digest:
             raise DamagedPointError(f"{path} was changed after it was stored, or is the trace of another job")
         return dict(arrays)

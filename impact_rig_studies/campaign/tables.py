@@ -28,6 +28,8 @@ from impact_rig.system import extras
 def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, NDArray[np.generic]]:
     """Convert a table to one array per column, by name; a column with at least one text becomes an array of texts.
 
+    Missing numbers must be NaN, not None.
+
     Raises:
         RecordingError: the table is empty.
     """

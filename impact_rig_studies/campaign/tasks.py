@@ -101,6 +101,8 @@ class TaskStore(Generic[T]):
     def prepare(self, text: str, base: RigConfig) -> None:
         """Create the directory, and write the study's definition `text` and its rig `base` into it.
 
+        In the directory of a study of the same kind and rig, this replaces the definition and keeps the results.
+
         Raises:
             RecordingError: the directory cannot be written, or contains other files or results of another rig.
         """
@@ -114,7 +116,7 @@ class TaskStore(Generic[T]):
         """Read the configuration of the rig of the study in this directory.
 
         Raises:
-            ConfigError: the directory is not that of such a study.
+            ConfigError: the directory has no results of the command `what`, or its configuration is invalid.
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(

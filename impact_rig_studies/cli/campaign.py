@@ -82,7 +82,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return verdicts, their values on varied rigs, and failed points, as data for JSON."""
+    """Return verdicts, failed points, and the deciding value of each statement on every rig, as data for JSON."""
     return {
         "verdicts": [
             {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}
@@ -123,7 +123,10 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 
 
 def _print_reductions(console: Console, done: run.Finished) -> bool:
-    """Print the reductions next to the paper's; return whether all are within the limits, true if none was measured."""
+    """Print the reductions next to the paper's, and return whether all measured ones are within the limits.
+
+    The result is true if none was measured.
+    """
     reductions = done.reductions()
     if not reductions.percent():
         return True

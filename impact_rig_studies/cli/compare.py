@@ -33,7 +33,10 @@ FAR_OFF = 2.0  # difference, in standard uncertainties, above which a row is mar
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
-    """Compare a recorded or imported run with the model, print and draw the result, and return the exit code, 0."""
+    """Compare a recorded or imported run with the model, print the result, and return the exit code, 0.
+
+    With `--figures`, the result is also drawn.
+    """
     from impact_rig.rig.config import load_config  # noqa: PLC0415  # heavy: after the signals are taken
     from impact_rig_studies.comparison import compare, drawn  # noqa: PLC0415  # as above
 

@@ -59,7 +59,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
     """Fit constants to a campaign or to the paper's reductions, print them, and return the exit code, 0.
 
     The results of a campaign are written into its directory. The configuration with the constants is written only if
-    the data determine all of them and the model explains the data.
+    the data determine all of them and the model explains the data. For the paper's reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
     if arguments.paper:
@@ -103,10 +103,13 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:
-    """Return and print the data for a fit: free decay, stepped sine and reductions, unless missing or left out.
+    """Collect the data for a fit, and print them: free decay, stepped sine and reductions.
+
+    The free decay is in the run of `--decay`. Without this option it is simulated, or missing if the campaign was
+    imported. The others are points of the campaign. Data that are missing, or named in `--without`, are None.
 
     Raises:
-        ImpactRigError: the free decay cannot be measured.
+        ImpactRigError: the free decay cannot be measured from its run or simulation.
     """
     base, curves = done.campaign.base, done.curves
     gains = Gains.of(done.info)

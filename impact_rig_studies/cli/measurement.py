@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Import files as runs, or as one campaign, print how, and return the exit code, 0.
+    """Import files as runs, or as one campaign, print how their signals are used, and return the exit code, 0.
 
     If a file is rejected, its error is raised, and nothing is written, not even runs of the files before it.
     """
@@ -149,7 +149,7 @@ def _print_source(console: Console, source: ImportedSignals) -> None:
 
 def _print_left_out(console: Console, source: ImportedSignals) -> None:
     for name, why in source.left_out.items():
-        console.print(f"left out: {name}, {why}")
+        console.print(f"left out of the import: {name}, {why}")
 
 
 def _missing(found: ImportedRun) -> list[str]:

@@ -497,8 +497,8 @@ def test_a_dry_run_reports_why_a_column_is_unused_and_that_the_gap_is_unknown(
         "not used: earlier, its name matches no channel",
         "not used: top, the channel laser uses the signal laser 1",
         "not used: coil, its unit mm is not possible for the channel current",
-        "left out: note, texts",
-        "left out: time, the times are those of timestamp",
+        "left out of the import: note, texts",
+        "left out of the import: time, the times are those of timestamp",
         "gap: unknown (--gap 6mm, or --gap none without the sphere)",
     ):
         assert line in printed
@@ -672,9 +672,9 @@ def test_data_that_an_import_omits_are_reported(tmp_path: Path, capsys: pytest.C
     assert main([*words, "--dry-run"]) == 0
     printed = capsys.readouterr().out
     for line in (
-        "left out: fft, complex numbers",
-        "left out: cube, an array of more than two dimensions",
-        "left out: dt, no valid rate or period: -1",
+        "left out of the import: fft, complex numbers",
+        "left out of the import: cube, an array of more than two dimensions",
+        "left out of the import: dt, no valid rate or period: -1",
     ):
         assert line in printed
 
