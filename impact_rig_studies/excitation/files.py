@@ -34,6 +34,7 @@ from impact_rig_studies.excitation.random import Spectrum
 from impact_rig_studies.excitation.response import Response
 from impact_rig_studies.importing import readers
 from impact_rig_studies.importing.limits import VALUES
+from impact_rig_studies.importing.steps import step_of
 from impact_rig_studies.importing.units import unit_factor
 
 P = TypeVar("P", bound=attrs.AttrsInstance)
@@ -138,7 +139,8 @@ def history(
         The samples, shape (n,).
 
     Raises:
-        ConfigError: the signal or its rate is not known, `rate_hz` is < 1, or the unit cannot be converted to `wanted`.
+        ConfigError: the signal or its rate is not known, its times are not evenly spaced, `rate_hz` is < 1, or the unit
+            cannot be converted to `wanted`.
         RecordingError: the file is damaged, scans of the run are missing, or the signal is empty or not finite.
         BudgetError: the result would have too many samples.
     """
@@ -206,7 +208,7 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     one = signals[name]
     rate = one.rate_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
-        rate = (len(one.time_s) - 1) / float(one.time_s[-1] - one.time_s[0])
+        rate = _even_rate(path, one.time_s)
     if rate is not None and file_hz is not None:
         raise ConfigError(f"{path}: the file states {rate:g} samples per second: omit --file-rate")
     rate = rate or file_hz
@@ -216,3 +218,21 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
             "per second with --file-rate HZ"
         )
     return one.values, rate, unit or one.unit
+
+
+def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
+    """Return the rate of listed times [1/s], which must be those of an even clock but for rounding and jitter.
+
+    Raises:
+        ConfigError: a time is off the even grid from the first to the last by more than half a period plus the last
+            digit of the times.
+    """
+    period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    off_s = np.abs(time_s - time_s[0] - period_s * np.arange(len(time_s)))
+    if period_s > 0.0 and not np.all(off_s <= 0.5 * period_s + step_of(time_s)):
+        worst = int(np.argmax(np.where(np.isfinite(off_s), off_s, np.inf)))
+        raise ConfigError(
+            f"{path}: the times are not evenly spaced: the one of value {worst + 1} is {off_s[worst]:.4g} s off the "
+            f"mean period of {period_s:.6g} s; resample the signal to even times"
+        )
+    return 1.0 / period_s if period_s > 0.0 else 0.0

@@ -248,7 +248,7 @@ def _clock_names(clocks: list[tuple[str, cells.Times]]) -> list[str]:
         for other_name, other in clocks[1:]
         if len(other.ns) == len(times.ns)
         and other.has_date != times.has_date
-        and not (times.has_date and times.has_clock)
+        and not any(one.has_date and one.has_clock for one in (times, other))
     )
     return [name, *list(completing)[:1]]
 

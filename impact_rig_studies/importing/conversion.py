@@ -16,8 +16,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as AnyMapping
+from pathlib import Path
 
 import attrs
 import numpy as np
@@ -126,7 +128,7 @@ def convert(
                     f"{source.path}: the signal {column!r} for {key} has {len(source.signals[column].values)} values, "
                     f"but the channels have {count}; state a number instead, or a signal of this length"
                 )
-            followed[key] = source.signals[column].values
+            followed[key] = _in_unit(source.path, column, source.signals[column], "Hz" if key == "frequency" else "m")
     grid = uniform(source.path, abscissa, mapping, found, followed)
     rate, index, found, followed = grid.rate_hz, grid.index, grid.signals, grid.followed
     info, estimated = _calibration(mapping, si_units, rate, sheet, steps, skews)
@@ -379,7 +381,7 @@ def _commands(
     command at each change, and without that signal the single frequency of the mapping.
 
     Raises:
-        ConfigError: the table lacks a column, or one of its times is not finite.
+        ConfigError: the table lacks a column, one of its times is not finite, or a column has a wrong unit.
     """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
@@ -388,7 +390,9 @@ def _commands(
             raise ConfigError(
                 f"{drive.path} must have a column `frequency` [Hz], and a column of times, `time` or `stamp_ns`"
             )
-        amplitude = current.values if current is not None else np.full(len(frequency.values), mapping.amplitude)
+        hertz, amplitude = _in_unit(drive.path, "frequency", frequency, "Hz"), np.full(len(times), mapping.amplitude)
+        if current is not None:
+            amplitude = _in_unit(drive.path, "current", current, "A")
         if not np.all(np.isfinite(times)):
             wrong = int(np.argmin(np.isfinite(times)))
             raise ConfigError(f"{drive.path}: time {wrong + 1} of {len(times)} is not a finite number")
@@ -396,12 +400,28 @@ def _commands(
         if drive.start_ns is not None and source.start_ns is not None:
             first = drive.start_ns
         stamps = [first + round(float(one) * NS_PER_S) for one in times]
-        return tuple(zip(stamps, frequency.values.tolist(), amplitude.tolist(), strict=True))
+        return tuple(zip(stamps, hertz.tolist(), amplitude.tolist(), strict=True))
     if followed is not None:
         return tuple((instants.exact(scan), float(followed[scan]), mapping.amplitude) for scan in _changes(followed))
     if isinstance(mapping.frequency, float):
         return ((instants.start_ns, mapping.frequency, mapping.amplitude),)
     return ()
+
+
+_PEAK = re.compile(r"[\s_-]+(?:peak|pk|0-p)$", re.IGNORECASE)  # the amplitudes of a run are peak values
+
+
+def _in_unit(path: Path, name: str, signal: Signal, wanted: str) -> Real:
+    """Return the values of a signal in the unit `wanted`, in which they are if the file states no unit.
+
+    Raises:
+        ConfigError: the unit is that of another quantity.
+    """
+    unit = _PEAK.sub("", signal.unit)
+    factor = units.unit_factor(unit, wanted) if unit else 1.0
+    if factor is None:
+        raise ConfigError(f"{path}: {name!r} must have a unit that can be converted to {wanted}, got {signal.unit!r}")
+    return signal.values if factor == 1.0 else factor * signal.values
 
 
 def _changes(values: Real) -> list[int]:

@@ -97,6 +97,12 @@ _QUANTITIES = {
     "m": _METRE, "m/s": (1, -1, 0, 0), "m/s^2": (1, -2, 0, 0), "A": _AMPERE, "V": _VOLT, "s": _SECOND, "Hz": (0, -1,
     0, 0),
 }  # fmt: skip
+_ANGULAR = {
+    "rad": 1.0 / (2.0 * math.pi), "deg": 1.0 / 360.0, "degree": 1.0 / 360.0, "°": 1.0 / 360.0, "rev": 1.0, "r": 1.0,
+    "turn": 1.0, "u": 1.0, "1": 1.0,
+}  # fmt: skip
+"""Cycles per unit of an angle. Per unit of time they are frequencies; pint takes the radian as 1, not as 1/(2π)."""
+_RPM = 1.0 / 60.0
 _DOUBTFUL = {
     "G": "standard gravity (9.80665 m/s^2), not gauss",
     "Gs": "standard gravity (9.80665 m/s^2), not gauss",
@@ -122,6 +128,8 @@ def unit_factor(unit: str, wanted: str) -> float | None:
     """
     if unit == wanted:
         return 1.0
+    if (cycles := _cycles_per_second(unit)) is not None:
+        return cycles if wanted == "Hz" else None
     size = _parse(unit)
     if size is not None:
         target = _parse(wanted)
@@ -136,6 +144,8 @@ def quantity(unit: str) -> str | None:
 
     It is also None for a unit that only `pint` knows if `pint` is not installed.
     """
+    if _cycles_per_second(unit) is not None:
+        return "Hz"
     size = _parse(unit)
     if size is not None:
         return next((name for name, powers in _QUANTITIES.items() if powers == size.powers), None)
@@ -159,6 +169,17 @@ def doubt(unit: str) -> str:
 
 def _bare(unit: str) -> str:
     return unit.strip().strip("[]").strip()
+
+
+def _cycles_per_second(unit: str) -> float | None:
+    """Return the frequency [Hz] of one unit of an angle per time, such as `rad/s` or `rpm`; None for any other unit."""
+    text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", _bare(unit).lower())
+    if text == "rpm":
+        return _RPM
+    angle, _, time = text.partition("/")
+    if angle not in _ANGULAR or (size := _parse(time)) is None or size.powers != _SECOND:
+        return None
+    return _ANGULAR[angle] / size.factor
 
 
 def _plain(unit: str) -> str:

@@ -298,6 +298,18 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
     assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01
 
 
+def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
+    even = [f"{k / 1000:.2f},{k % 7}" for k in range(400)]  # rounded to ten periods
+    (tmp_path / "even.csv").write_text("\n".join(["time [s],drive [A]", *even]))
+    assert len(history(tmp_path / "even.csv", 1_000, "A", "drive")) == pytest.approx(400, abs=20)
+    rows = [f"{t},{k}" for k, t in enumerate((0.0, 0.1, 0.2, 0.3, 5.0, 5.1))]
+    (tmp_path / "gap.csv").write_text("\n".join(["time [s],drive [A]", *rows]))
+    with pytest.raises(
+        ConfigError, match=r"gap\.csv: the times are not evenly spaced: the one of value 4 is 2.76 s off"
+    ):
+        history(tmp_path / "gap.csv", 1_000, "A", "drive")
+
+
 def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
     """Joined scans would play too fast by the missing time, and one scan would have no duration."""
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 2_000, "daq.block_scans": 20}))

@@ -191,6 +191,17 @@ def test_a_trailing_separator_of_rows_without_one_in_the_heading_is_ignored(sepa
     assert list(found.signals) == ["base", "laser"]
 
 
+def test_times_of_day_are_not_added_to_stamps_that_contain_them() -> None:
+    rows = [f"00:00:{k:02},2026-11-02 00:00:{k:02},{k},{k % 3}" for k in range(30)]
+    for head, order in (
+        ("time,timestamp,base [mm],laser [mm]", (0, 1)),
+        ("timestamp,time,base [mm],laser [mm]", (1, 0)),
+    ):
+        cells = [row.split(",") for row in rows]
+        found = text_table("\n".join([head, *(",".join([row[order[0]], row[order[1]], *row[2:]]) for row in cells)]))
+        assert since_start(found) == pytest.approx(np.arange(30.0))
+
+
 def test_a_column_of_milliseconds_is_added_to_a_clock_of_whole_seconds() -> None:
     at = [BEGIN + dt.timedelta(seconds=float(t)) for t in TIME_S]
     lines = [f"{one:%Y-%m-%d %H:%M:%S},{one.microsecond // 1000},{k}" for k, one in enumerate(at)]
@@ -837,6 +848,9 @@ UNITS = {
               "㎨": 1.0},
     "A": {"A": 1.0, "mA": 1e-3, "amps": 1.0, "Ampere": 1.0},
     "V": {"V": 1.0, "mV": 1e-3, "Volts": 1.0, "µV": 1e-6},
+    "Hz": {"Hz": 1.0, "kHz": 1e3, "1/s": 1.0, "min^-1": 1.0 / 60.0, "rpm": 1.0 / 60.0, "RPM": 1.0 / 60.0,
+           "U/min": 1.0 / 60.0, "1/min": 1.0 / 60.0, "rev/s": 1.0, "rad/s": 0.5 / np.pi,
+           "rad per sec": 0.5 / np.pi, "deg/s": 1.0 / 360.0, "°/ms": 1e3 / 360.0},
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "S": 1.0},
 }  # fmt: skip
 

@@ -366,6 +366,22 @@ def test_a_table_of_commands_counts_its_times_from_the_same_instant_as_the_scans
         convert(source, guess(source), table(tmp_path, commands.replace("6,", "nan,"), "drive.csv"))
 
 
+def test_commands_and_labels_of_a_file_are_converted_to_si_units(tmp_path: Path) -> None:
+    """A current of 500 mA must not become one of 500 A."""
+    head = "time [s],laser [mm],base [mm],speed [rpm],gap [mm]"
+    source = table(tmp_path, lines(lambda k: f"{k / 10},{k},{k},{540 + k // 50},6", head, 100))
+    mapping = refined(guess(source), "{frequency: speed, gap: gap}")
+    commands = "time,frequency [kHz],current [mA peak]\n2,0.009,500\n6,0.010,500\n"
+    found = convert(source, mapping, table(tmp_path, commands, "drive.csv"))
+    assert [one[1:] for one in found.drive] == [(pytest.approx(9.0), pytest.approx(0.5)), (10.0, pytest.approx(0.5))]
+    assert [one[1] for one in convert(source, mapping).drive] == pytest.approx([9.0, 541 / 60])
+    assert any("0.006" in label for label in found.labels)
+    with pytest.raises(
+        ImpactRigError, match=r"drive.csv: 'current' must have a unit that can be converted to A, got 'V'"
+    ):
+        convert(source, mapping, table(tmp_path, commands.replace("mA peak", "V"), "drive.csv"))
+
+
 def test_an_export_cut_within_a_block_begins_with_its_first_row(tmp_path: Path) -> None:
     """The first stamp is that of the block, not of the first row: commands would be shifted by up to a block."""
 
