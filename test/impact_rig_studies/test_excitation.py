@@ -298,6 +298,14 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
     assert np.abs(found - np.sin(2.0 * np.pi * 9.0 * np.arange(200) / 1_000))[20:-20].max() < 0.01
 
 
+def test_a_response_without_a_sensor_cannot_follow_a_history(tmp_path):
+    (tmp_path / "plan.yaml").write_text("response: base_acceleration")
+    with pytest.raises(
+        ConfigError, match=r"sensor: base, superior, superior_acceleration; got base_acceleration \(.*plan"
+    ):
+        load(tmp_path / "plan.yaml", ReplicatePlan)
+
+
 def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
     even = [f"{k / 1000:.2f},{k % 7}" for k in range(400)]  # rounded to ten periods
     (tmp_path / "even.csv").write_text("\n".join(["time [s],drive [A]", *even]))
