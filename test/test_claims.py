@@ -74,10 +74,14 @@ def _text(kind: str, content: str) -> str:
 
 # --- Results of the code: each function returns text that must be in its claim ----------------------------------------
 @functools.cache
+def simulated(gap_m: float) -> impact_rig.Record:
+    """Return the result of the example on the first page; a gap of 0 means no sphere."""
+    return impact_rig.simulate(30.0, {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False})
+
+
 def transmissibility(gap_m: float) -> tuple[float, float]:
     """Return DT and u of the example on the first page; a gap of 0 means no sphere."""
-    changed = {"barriers.gap_m": gap_m} if gap_m else {"sphere.present": False}
-    return impact_rig.simulate(30.0, changed).transmissibility
+    return simulated(gap_m).transmissibility
 
 
 def reduction(gap_m: float) -> float:
@@ -162,6 +166,12 @@ def at_10_mm() -> str:
 
 def reduction_at_10_mm() -> str:
     return f"by {reduction(0.010):.0f} %"
+
+
+def amplitudes_at_10_mm() -> str:
+    with_sphere, without = simulated(0.010).measurements[-1], simulated(0.0).measurements[-1]
+    base, structure = (with_sphere[name] / without[name] for name in ("base_amplitude", "laser_amplitude"))
+    return f"the base moves {100.0 * (base - 1.0):.0f} % more, and the structure {100.0 * (1.0 - structure):.0f} % less"
 
 
 # ----------------------------------------------------------------------------------------------------------------------
