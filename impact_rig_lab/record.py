@@ -232,7 +232,8 @@ class RigHistory:
         """Add the beginnings and ends of instrument faults in a table of `truth/faults` as lines."""
         for row in table.rows:
             what = f"{text(row['kind'])} {text(row['channel'])}".strip()
-            self._add(table.stamp_ns, "fault", "begins" if row["active"] else "ends", what)
+            at_ns = table.stamp_ns + round(float(row["time"]) * NS_PER_S)
+            self._add(at_ns, "fault", "begins" if row["active"] else "ends", what)
 
     def _add(self, *line: Any) -> None:
         self._part = None

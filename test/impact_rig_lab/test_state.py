@@ -303,6 +303,13 @@ def test_faults_are_active_from_begin_to_end_and_not_after_a_restart() -> None:
     assert faults.in_force(0, 3 * 10**9) != []
 
 
+def test_the_line_of_a_fault_has_its_time_within_the_block() -> None:
+    history, rows = RigHistory(), np.zeros(2, topics.FAULTS.columns)
+    rows["time"], rows["kind"], rows["channel"], rows["active"] = (0.25, 0.5), b"dropout", b"base", (1, 0)
+    history.fault(Table(3 * 10**9, rows))
+    assert history.part(10**9) == [[2.25, "fault", "begins", "dropout base"], [2.5, "fault", "ends", "dropout base"]]
+
+
 @pytest.mark.parametrize(
     ("kind", "channel", "value", "words"),
     [
