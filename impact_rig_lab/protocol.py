@@ -259,7 +259,8 @@ def json_frame(kind: FrameKind, number: int, content: Mapping[str, Any]) -> byte
     Args:
         kind: STATE or REPLY.
         number: number in the head of the frame, modulo 2³²: 0 for STATE, the id of the request for REPLY.
-        content: what the page receives.
+        content: what the page receives; values of NumPy are allowed, and NaN and infinite numbers become null
+            (`files.plain`).
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + json.dumps(plain(content), separators=(",", ":")).encode()
 

@@ -118,8 +118,8 @@ def frf(
         overlap: share of a segment that is also part of the next one.
         window: name of the window for `scipy.signal`.
         noise_ratio: κ of Hv, the noise power of y divided by that of x.
-        x_noise: rms of the noise of x, assumed white [unit of x]. Lines of the spectrum that do not stand out of it do
-            not count as excited.
+        x_noise: rms of the noise of x, assumed white [unit of x]. Lines with less than `ABOVE_NOISE` times its power
+            are not listed in `Frf.excited`; their values are returned all the same.
 
     Raises:
         ValueError: lengths differ, values are not finite, a channel is constant, `segment` is below 8 or above n, or

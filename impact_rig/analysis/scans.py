@@ -110,15 +110,16 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
     found = table.rows.dtype
     if found == wanted:
         return
+    remedy = "correct the program that publishes it, and record again"
     names = found.names or ()
     missing = [name for name in wanted.names or () if name not in names and name not in later]
     if missing:
-        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}")
+        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}; {remedy}")
     for name in set(names).intersection(wanted.names or ()):
         is_text = found[name].kind == "S"
         if is_text != (wanted[name].kind == "S"):
             has = "text instead of numbers" if is_text else "numbers instead of text"
-            raise ConfigError(f"{topic} has {has} in the column {name}")
+            raise ConfigError(f"{topic} has {has} in the column {name}; {remedy}")
 
 
 class ScanBuffer:

@@ -106,14 +106,12 @@ def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap
     add_recorded_rig(parser)
 
 
-def add_recorded_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--rig`, which selects one rig of a recording with several rigs by its namespace."""
-    parser.add_argument(
-        RIG_OPTION,
-        dest="rig",
-        metavar="NAMESPACE",
-        help="namespace of the rig to read, if several were recorded (default: the only one in the recording)",
-    )
+def add_recorded_rig(
+    parser: argparse.ArgumentParser,
+    what: str = "namespace of the rig to read, if several were recorded (default: the only one in the recording)",
+) -> None:
+    """Add the option `--rig`, the namespace of one rig of a recording with several rigs, with help text `what`."""
+    parser.add_argument(RIG_OPTION, dest="rig", metavar="NAMESPACE", help=what)
 
 
 def add_config(parser: argparse.ArgumentParser, what: str = "rig configuration (default: the paper's rig)") -> None:

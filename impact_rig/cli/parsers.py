@@ -260,7 +260,10 @@ def add_replay(commands: Commands) -> None:
         "--loop", action="store_true", help="replay the run, with the same stamps, again and again until Ctrl-C"
     )
     parser.add_argument(
-        "--paused", action="store_true", help="start paused, until the service /player/pause is called with data: false"
+        "--paused",
+        action="store_true",
+        help="start paused at the first scan; to go on, call the service /player/pause (std_srvs/SetBool) with data: "
+        "false",
     )
     parser.add_argument(
         "--delay",
@@ -358,7 +361,10 @@ def add_fmu(commands: Commands) -> None:
         ],
     )
     parser.add_argument("path", type=Path, metavar="OUT.fmu", help="file to write; an existing one is replaced")
-    add_config(parser)
+    add_config(
+        parser,
+        "configuration of the rig to write; values not in FILE are those of the paper's rig (default: the paper's rig)",
+    )
     parser.add_argument("--fmi", choices=VERSIONS, default=VERSIONS[0], help="version of FMI (default: %(default)s)")
     parser.add_argument(
         "--kernels",
@@ -388,7 +394,11 @@ def add_daqmx(commands: Commands) -> None:
         "until Ctrl-C; its exit code is then 0.",
     )
     parser.set_defaults(ends_by_signal=True, needs_ros=lambda arguments: bool(arguments.namespace))
-    add_config(parser, "configuration of the rig to simulate, not with --namespace (default: the paper's rig)")
+    add_config(
+        parser,
+        "configuration of the rig to simulate, not with --namespace; values not in FILE are those of the paper's rig "
+        "(default: the paper's rig)",
+    )
     parser.add_argument(
         "--namespace",
         help="namespace of a running rig to serve, which keeps its configuration (default: this program simulates a "

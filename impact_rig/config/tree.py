@@ -62,7 +62,7 @@ class Tree(Generic[Root]):
             overrides: values by dotted name (`section.key`) that replace those of the file.
 
         Raises:
-            ConfigError: the file cannot be read, is not YAML, or contains an unknown key or an invalid value; the
+            ConfigError: the file cannot be read, is not plain YAML, or contains an unknown key or an invalid value; the
                 message names key, value, range and file.
         """
         path = Path(path)
@@ -84,7 +84,8 @@ class Tree(Generic[Root]):
         try:
             text = str(content, "utf-8")
         except ValueError as error:
-            raise ConfigError(f"not a YAML file: it must be UTF-8 text, {' '.join(str(error).split())}") from error
+            why = " ".join(str(error).split())
+            raise ConfigError(f"cannot be read as plain YAML: it must be UTF-8 text, {why}") from error
         return self.from_flat(self.root(), {**parameters_in(text), **(overrides or {})})
 
     def from_flat(self, base: Root, changes: Mapping[str, object]) -> Root:
@@ -134,12 +135,12 @@ def parameters_in(text: str) -> dict[str, object]:
     """Return the values in the text of a configuration file, by dotted name, as written there and unchecked.
 
     Raises:
-        ConfigError: the text is not YAML, or not a mapping of sections.
+        ConfigError: the text is not plain YAML (`budget.load_yaml`), or not a mapping of sections.
     """
     try:
         document = budget.load_yaml(text, MAX_FILE_BYTES)
     except budget.PlainYamlError as error:
-        raise ConfigError(f"not a YAML file: {error}") from error
+        raise ConfigError(f"cannot be read as plain YAML: {error}") from error
     return flatten(_unwrap(document))
 
 

@@ -53,13 +53,16 @@ OVER_TRAVEL, OVER_CURRENT = "over_travel", "over_current"
 
 @attrs.frozen
 class Trip:
-    """Reason why the rig stops and latches the shaker by itself: over-travel, over-current or an underrun.
+    """Reason why the rig stops the shaker by itself: over-travel, over-current or an underrun.
+
+    The shaker stays latched, and the rig cannot be reset, until `Rig.clear_trip`.
 
     Attributes:
         tick: number of the 10 ms tick in which it tripped, from 0 for the first tick of the checked motion; 0 for an
             underrun.
         reason: `over_travel`, `over_current` or `underrun` (a sample of a stream did not arrive in time).
-        measured: travel [m], current [A rms, averaged over about 1 s], or number of the missing sample.
+        measured: travel of the inferior base [m], current [A rms, averaged over about 1 s], or number of the missing
+            sample.
         limit: limit of travel [m] or of the current [A rms]; 0 for an underrun. Travel trips above its limit, current
             at more than 1.05 times its limit.
     """

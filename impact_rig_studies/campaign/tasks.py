@@ -249,7 +249,7 @@ def load_plan(path: Path, what: str, read: Callable[[object, str], P]) -> P:
     except OSError as error:
         raise ConfigError(f"cannot read {what}: {files.reason_unreadable(error, path)}") from error
     except ValueError as error:  # PlainYamlError, or not UTF-8
-        raise ConfigError(f"not a YAML file: {' '.join(str(error).split())} ({path})") from error
+        raise ConfigError(f"cannot be read as plain YAML: {' '.join(str(error).split())} ({path})") from error
     try:
         return read(document, text)
     except (ConfigError, BudgetError) as error:

@@ -712,7 +712,10 @@ def add_identify(commands: Commands) -> None:
         metavar="RUN",
         help="recorded free decay after a pluck (default: pluck the simulated rig; none for an imported campaign)",
     )
-    add_recorded_rig(parser)
+    add_recorded_rig(
+        parser,
+        "namespace of the rig to read from the run of --decay, if several were recorded there (default: the only one)",
+    )
     parser.add_argument(
         "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
     )

@@ -293,8 +293,10 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 def _time_axis(name: str, unit: str, values: Real) -> _Axis:
     """Return the abscissa from a column of times, converted to seconds.
 
-    If the unit is not one of time, the values are kept, and the kind is frequency or other. Without a unit, the days of
-    a spreadsheet (since 1900) are recognised by their size; otherwise seconds are assumed.
+    If the unit is not one of time, the values are kept, and the kind is frequency or other. Without a unit, seconds
+    are assumed, except for days of a spreadsheet (since 1900). Values of the years 2000 to 2100 are days if the column
+    is named as a date, or if as seconds they would be more than `MOST_HZ` scans per second. In the latter case, values
+    that begin between 0 and 1 are fractions of a day. Times from days of these years count from the first row.
     """
     note = ""
     word = headings.bare(_name(name))

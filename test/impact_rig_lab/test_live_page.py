@@ -377,7 +377,7 @@ def test_settings_can_be_saved_and_applied_again(lab: Lab, page: Page, tmp_path:
     assert answer == {"id": answer["id"], "ok": True, "text": "1 settings changed"}
     lab.parameter("rig", "barriers.gap_m", 0.008)
     lab.parameter("analysis", "gap_m", 0.008)
-    for text, words in (("a: [", "not a YAML file"), ("barriers: {gap_mm: 6}", "did you mean")):
+    for text, words in (("a: [", "cannot be read as plain YAML"), ("barriers: {gap_mm: 6}", "did you mean")):
         answer = page.js(asked.format(json.dumps(text)))
         assert not answer["ok"]
         assert words in answer["text"]

@@ -935,7 +935,7 @@ def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys
         ("basin", "basin: {sphere_position_m: [0.5], sphere_speed_m_s: [0, 1]}", r"basin.sphere_position_m\[0\]"),
         ("exponent", "exponent: {over: gap_m, values: [0.02], windows: 1}", "exponent.windows must be"),
         ("exponent", "set: {daq.seed: 1}\nexponent: {}", "has no effect on"),
-        ("orbit", "orbit: [", "not a YAML file"),
+        ("orbit", "orbit: [", "cannot be read as plain YAML"),
     ],
 )
 def test_an_invalid_file_is_rejected_by_name(kind, text, message, tmp_path):

@@ -41,7 +41,10 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         BudgetError: the file has too many channels or values.
     """
     if content[:4] not in (b"RIFF", b"RIFX", b"RF64") or content[8:12] != b"WAVE":
-        raise RecordingError(f"{path} is not a WAV file: it does not begin with RIFF … WAVE")
+        raise RecordingError(
+            f"{path} is not a WAV file: it does not begin with RIFF, RIFX or RF64, a size and WAVE; correct its "
+            "suffix, or convert it to WAV"
+        )
     order = ">" if content[:4] == b"RIFX" else "<"
     form, data, claimed = _chunks(path, content, order)
     code, channels, rate, _, block, bits = struct.unpack(f"{order}HHIIHH", form[:16])

@@ -56,5 +56,5 @@ def test_a_scan_that_lacks_a_calibrated_channel_is_rejected_with_its_name():
 
 def test_text_in_a_column_of_numbers_is_refused_and_names_it():
     rows = np.zeros(1, [(name, "S4" if name == "frequency" else APPLIED[name]) for name in APPLIED.names])
-    with pytest.raises(ConfigError, match=r"^shaker/applied has text instead of numbers in the column frequency$"):
+    with pytest.raises(ConfigError, match=r"^shaker/applied has text instead of numbers in the column frequency; corr"):
         Tracker().on_applied(Table(0, rows))

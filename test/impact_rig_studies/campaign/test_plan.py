@@ -111,7 +111,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="9.1", vary="{sphere.density_kg_m3: -1}"), "density_kg_m3 must be >"),
         ("set: {daq.block_scans: 5}", "set.daq.block_scans is set by the campaign"),
         ("analysis: {window_s: 0}\nstudies: {s: {frequencies_hz: 9.1}}", "analysis.window_s must be > 0 and <= 100"),
-        ("studies: [", "not a YAML file"),
+        ("studies: [", "cannot be read as plain YAML"),
     ],
 )  # fmt: skip
 def test_an_invalid_file_is_rejected_with_key_value_range_and_file_name(write, text, words):

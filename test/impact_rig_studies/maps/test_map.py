@@ -416,7 +416,7 @@ SEARCH = "optimum: {{over: {}, from: {}, to: {}}}\naxes: {{gap_m: [0.01, 0.02], 
         (SEARCH.format("contact.rest", 0.5, 0.6), "unknown key 'contact.rest'"),
         (SEARCH.format("gap_m", "1.0e-7", 0.02), "barriers.gap_m must be"),
         (SEARCH.format("sphere_position_m", 0.001, 0.5), "sphere_position_m must be"),
-        ("axes: [", "not a YAML file"),
+        ("axes: [", "cannot be read as plain YAML"),
     ],
 )
 def test_an_invalid_file_is_rejected_by_name(tmp_path, text, message):
