@@ -666,8 +666,8 @@ class Gateway:
         """
         if self._own is None:
             raise Refused(
-                f"the node {node} is not running, and this lab starts no nodes: start it in the rig's namespace "
-                f"(ros2 run impact_rig {node}_node)"
+                f"the node {node} is not running, and this lab starts no nodes: start it in the rig's namespace (ros2 "
+                f"run impact_rig {node}_node --ros-args -r __ns:={self.client.node.get_namespace()})"
             )
         if node in self._own.processes.running:
             self._own.processes.stop(node)

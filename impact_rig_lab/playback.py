@@ -148,7 +148,10 @@ class RunPlayer:
         return iter(self._run.messages(names, start_ns=from_ns)) if names else iter(())
 
     def start(self) -> None:
-        """Start to read the marks of the whole run in a thread: changes, measurements, faults, impacts, lost blocks."""
+        """Start a thread that reads the marks of the run: changes, measurements, faults, impacts, lost blocks.
+
+        They become available as they are read, up to `read_s`.
+        """
         self._marker.start()
 
     def close(self) -> None:

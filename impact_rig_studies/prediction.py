@@ -270,7 +270,9 @@ class HeldDrive:
             )
         for name, value in given.items():
             if not (math.isfinite(value) and value > 0.0):
-                raise ConfigError(f"{name} must be > 0 and finite, got {value!r}")
+                raise ConfigError(
+                    f"{name}, the amplitude that the prediction holds constant, must be > 0 and finite, got {value!r}"
+                )
 
 
 class _Answer(NamedTuple):

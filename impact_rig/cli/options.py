@@ -133,7 +133,7 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
     parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
     if RUNNING in ways:
         parser.add_argument(
-            "--namespace", help=f"namespace of the running rig, with --through running (default: {NAMESPACE})"
+            "--namespace", help=f"namespace of the running rig; only with --through running (default: {NAMESPACE})"
         )
     add_config(parser)
     parser.add_argument(

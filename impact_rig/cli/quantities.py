@@ -96,7 +96,9 @@ class Quantity:
         if not match:
             raise ConfigError(f"must be a number{self._with_unit()}, got {text!r}")
         if written is None and unit == LENGTH:
-            raise ConfigError(f"a length needs its unit, e.g. 6mm or 0.006m{self._or_words()}, got {text!r}")
+            raise ConfigError(
+                f"a length needs a unit after the number, e.g. 6mm or 0.006m{self._or_words()}, got {text!r}"
+            )
         if written is not None and written not in powers:
             raise ConfigError(f"the unit must be one of {', '.join(powers)}, got {text!r}")
         value = float(Decimal(number).scaleb(powers[written] if written else 0))

@@ -112,7 +112,10 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Call `on_message`, in addition to functions given earlier, after each message that is kept from now on."""
+        """Call `on_message`, too, with each message that arrives from now on, except invalid tables, which are dropped.
+
+        Functions given earlier are still called.
+        """
         self._on_message.append(on_message)
 
     @property

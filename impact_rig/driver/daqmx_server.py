@@ -567,7 +567,10 @@ def servicer(board: Board) -> Any:
 
 
 def _reason(address: str) -> str:
-    """Return why a server cannot listen on an address `HOST:PORT`, as the operating system reports it."""
+    """Return why a server cannot listen on an address `HOST:PORT`: the operating system's reason.
+
+    If it reports none, the reason is that gRPC does not accept the address.
+    """
     host, _, port = address.rpartition(":")
     try:
         family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)[0]

@@ -495,8 +495,8 @@ class RosRig(RigDriver):
     def faults(self) -> list[Fault]:
         """Planned and injected instrument faults.
 
-        `start_sample` of an injected fault is the number of the scan given to `inject`, although its parameter on the
-        node contains the time from the injection on.
+        `start_sample` of an injected fault is the scan number given to `inject`, counted from scan 0. The node's
+        parameter instead states the start relative to the moment of injection.
         """
         injected = {line for line, _ in self._injected}
         planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)

@@ -271,9 +271,10 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 
 @kernel
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
-    """Fill `workspace.powers` with (λ half)^k / k!, the factors of a Taylor series with λ = `rate`; return how many.
+    """Fill `workspace.powers` with (λ half)^k / k! for k = 0, 1, …, where λ = `rate`; return the number of terms.
 
-    For λ = 0 only two are filled in, because the drive is then a straight line.
+    It is PIECE_TERMS, but 2 for λ = 0, because a drive without oscillation is a straight line. `half` is the unit of
+    time of the polynomial, such as half the length of a piece [s].
     """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS

@@ -228,7 +228,8 @@ def definitions(type_name: str) -> dict[str, str]:
                 seen.add(used)
                 if len(seen) > _MAX_TYPES:
                     raise RecordingError(
-                        f"the installed definition of {type_name} uses more than {_MAX_TYPES} types: not recordable"
+                        f"the installed definition of {type_name} uses more than {_MAX_TYPES} types, so its messages "
+                        f"cannot be recorded: check the .msg files of the package {root.split('/')[0]}"
                     )
                 append(used)
 

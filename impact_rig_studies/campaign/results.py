@@ -102,7 +102,10 @@ class Point:
 
     @property
     def regime(self) -> str:
-        """Regime of the response in the last measurement, such as periodic or chaotic; empty without a measurement."""
+        """Regime of the response in the point's last measurement; empty without a measurement.
+
+        It is periodic, modulated, chaotic, intermittent or unknown.
+        """
         return str(self.rows["regime"][-1].decode()) if len(self.rows) else ""
 
     @property

@@ -204,7 +204,11 @@ def add_import(commands: Commands) -> None:
     parser.add_argument(
         "--campaign", action="store_true", help="combine the runs into one campaign, for report and identify"
     )
-    add_config(parser, "configuration with known properties of the rig, with --campaign (default: the paper's rig)")
+    add_config(
+        parser,
+        "with --campaign: rig configuration whose sphere, barriers and contact law `identify` takes as known, and "
+        "whose constants start its fit (default: the paper's rig); not used without --campaign",
+    )
 
 
 def add_drive(commands: Commands) -> None:
@@ -298,7 +302,7 @@ def _add_frf(tests: Commands) -> None:
         ("frame_s", "S", "length of a frame in s"),
         ("low_hz", "HZ", "lower edge of the excited band"),
         ("high_hz", "HZ", "upper edge of the excited band"),
-        ("rms", "A", "RMS current of the drive"),
+        ("rms", "A", "RMS current of the drive in A while it is on"),
         ("drive_seed", "N", "seed of the drive's random numbers"),
     ):
         value = getattr(default, EXCITATION[option])
@@ -595,7 +599,8 @@ def add_report(commands: Commands) -> None:
         metavar="DIR",
         nargs="+",
         default=(),
-        help="directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements",
+        help="output directories of `impact-rig dynamics continue` for the campaign's rig; each adds a figure of its "
+        "branches with the measured points (only for a simulated campaign)",
     )
     add_figures(parser, "directory for the figures (default: `figures` next to the page)")
     add_recorded_rig(parser)
@@ -670,7 +675,11 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         help=f"way of measuring: process (on all cores of this machine; default){other_way} or dask ADDRESS (a Dask "
         "cluster)",
     )
-    add_output(parser, f"directory of the results; those already in it are kept (default: runs/{command}_<file>)")
+    add_output(
+        parser,
+        "directory of the results; those already in it are not computed again (default: "
+        f"runs/{command}_NAME for a file NAME.yaml)",
+    )
     parser.add_argument(
         "--workers", type=int, metavar="N", help="number of processes with --through process (default: one per core)"
     )

@@ -313,7 +313,10 @@ def _read(document: object, text: str, path: Path, kind: str, resolved: RigConfi
     top = axes.mapping("a dynamics file", document)
     axes.check_keys("", top, ("title", "config", "set", FREQUENCY, CURRENT, "measure", *KINDS))
     if kind not in top:
-        raise ConfigError(f"there is no {kind} in the file: add the key {kind} with the settings of this study")
+        raise ConfigError(
+            f"the file has no section named {kind}, which defines this study: add it (docs/how-to/dynamics.md), or "
+            "choose a study that the file defines"
+        )
     rig = resolved or axes.rig(top, path.parent, refuse_owned)
     changes = differences(rig)
     settings = axes.settings("measure", top.get("measure"), Settings)

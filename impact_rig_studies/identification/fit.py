@@ -282,8 +282,8 @@ def identify(
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError(
-            "nothing to identify from: free decay, stepped sine without the sphere and reductions of DT with "
-            "it are all missing, or left out by --without; at least one is needed"
+            "nothing to identify from: at least one of free decay, stepped sine without the sphere, or reductions of "
+            "DT by the sphere is needed; all are missing, or left out by --without"
         )
     theta, nuisance = _with_estimates(measured, start), np.zeros(len(NUISANCES))
     converged = False

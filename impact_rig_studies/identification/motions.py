@@ -163,10 +163,10 @@ class SettledRig:
 def _closed_form(
     neighbour: Callable[[int, float], Place], place: Place, count: int, of: Callable[[Place], float]
 ) -> Real:
-    """Return the derivatives of the function `of` by `count` parameters at `place`, shape (count,).
+    """Return the derivatives of `of`, a closed form that needs no simulation, by `count` parameters; shape (count,).
 
-    They are forward differences with the step `STEP`. `neighbour(i, step)` returns `place` with the i-th parameter
-    increased by `step`, in the unit that the derivatives refer to.
+    They are forward differences at `place` with the step `STEP`. `neighbour(i, step)` returns `place` with the i-th
+    parameter increased by `step`, in the unit that the derivatives refer to.
     """
     here = of(place)
     return np.array([(of(neighbour(i, STEP)) - here) / STEP for i in range(count)])

@@ -87,7 +87,10 @@ class MapLine(HashedTask):
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
-        """Return the fixed values and the direction of the line as text, for progress messages."""
+        """Return the fixed values of the line and how its points start as text, for progress messages.
+
+        The latter is `reset`, `up`, `down`, or the start of the sphere.
+        """
         held = ", ".join(f"{name} {value:g}" for name, value in self.held.items())
         return f"{held}, {self.direction}"
 
@@ -99,7 +102,10 @@ class MapLine(HashedTask):
                 line as not measured, so that the next run measures it again.
         """
         if len(rows) != len(self.values):
-            raise ValueError(f"a line of {len(self.values)} points cannot have {len(rows)} stored readings")
+            raise ValueError(
+                f"a line of {len(self.values)} points cannot have {len(rows)} stored readings: the line must be "
+                "measured again"
+            )
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:

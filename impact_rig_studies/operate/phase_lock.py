@@ -427,7 +427,10 @@ class LockedSine:
         return found
 
     def describe(self) -> str:
-        """Return the progress of a running or finished lock as text for the user, such as "tracking at 9.1 Hz"."""
+        """Return the progress of a running or finished lock as text for the user, such as "tracking at 9.1 Hz".
+
+        Not for an aborted lock, see `reason`.
+        """
         at = f"{self._lock.frequency_hz:.6g} Hz"
         return (
             f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"

@@ -129,7 +129,10 @@ class SteppedSine:
         return self._at, len(self._points)
 
     def describe(self) -> str:
-        """Return the progress of a running or finished sweep as text for the user, such as "point 3 of 10: 8.5 Hz"."""
+        """Return the progress of a running or finished sweep as text for the user.
+
+        For example "point 3 of 10: 8.5 Hz" or "finished, 10 points"; not for an aborted sweep, see `reason`.
+        """
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
         return running if self.state is SweepState.RUNNING else f"finished, {count} points"

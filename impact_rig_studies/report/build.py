@@ -63,7 +63,8 @@ def build_report(
         directory: directory of the campaign or of the run; an MCAP file is a run.
         output: directory of `report.html` and `report.json`; None means that of the results.
         margins: directory of a campaign with varied constants, for the table of the statements' sensitivity to these.
-        branches: directories of `impact-rig dynamics continue`, whose motions are drawn next to the measurements.
+        branches: output directories of `impact-rig dynamics continue` for the campaign's rig; each adds a figure of its
+            branches with the measured points.
         figures: directory of the figures; None means the folder `figures` next to the page.
         formats: formats of the figures, some of `impact_rig.names.FIGURE_FORMATS`.
         rig: namespace of the rig, for a recording with several rigs.

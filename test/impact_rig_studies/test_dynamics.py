@@ -921,7 +921,7 @@ def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys
 @pytest.mark.parametrize(
     ("kind", "text", "message"),
     [
-        ("section", "title: x", "there is no section in the file"),
+        ("section", "title: x", "the file has no section named section"),
         ("section", "section: {cycles: 0}", "section.cycles must be an integer >= 1"),
         ("section", "section: {starts: [above]}", r"section.starts\[0\] must be one of left, centre, right"),
         ("orbit", "orbit: {speed: 1}", "unknown key 'speed' in orbit"),

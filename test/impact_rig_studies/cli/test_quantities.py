@@ -62,9 +62,9 @@ def test_a_length_is_the_same_number_in_every_unit(text: str, value: float) -> N
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0.6", "a length needs its unit, e.g. 6mm or 0.006m, or none, got '0.6'"),
-        ("6", "a length needs its unit"),
-        ("0", "a length needs its unit"),
+        ("0.6", "a length needs a unit after the number, e.g. 6mm or 0.006m, or none, got '0.6'"),
+        ("6", "a length needs a unit after the number"),
+        ("0", "a length needs a unit after the number"),
         ("6kg", "the unit must be one of m, cm, mm, um"),
         ("6MM", "the unit must be one of"),
         ("wide", "must be a number with its unit, e.g. 6mm, or none, got 'wide'"),
@@ -98,7 +98,7 @@ def test_an_option_accepts_a_length_or_the_name_of_a_signal() -> None:
     assert GAP_LABEL.parse("6mm") == 0.006
     assert GAP_LABEL.parse("gap column") == "gap column"
     assert GAP_LABEL.parse("2nd") == "2nd"
-    with pytest.raises(ConfigError, match="needs its unit"):
+    with pytest.raises(ConfigError, match="needs a unit"):
         GAP_LABEL.parse("6")
 
 
@@ -153,7 +153,10 @@ def test_a_length_without_a_unit_is_rejected_in_every_command(
     with pytest.raises(SystemExit) as ended:
         main([*name.split(), *needed, *required, action.option_strings[0], "0.6"])
     assert ended.value.code == 2
-    assert f"argument {action.option_strings[0]}: a length needs its unit, e.g. 6mm" in capsys.readouterr().err
+    assert (
+        f"argument {action.option_strings[0]}: a length needs a unit after the number, e.g. 6mm"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,7 +164,7 @@ def test_a_length_without_a_unit_is_rejected_in_every_command(
     [
         (["base"], "base: must be a number with its unit, e.g. 6mm"),
         (["mass=1"], "must be CHANNEL=X with a channel of accelerometer, laser, base, current"),
-        (["laser=0.005"], "laser: a length needs its unit"),
+        (["laser=0.005"], "laser: a length needs a unit after the number"),
         (["current=2A", "base=-1mm"], "base: must be > 0 m"),
         (["current=2mm"], "current: the unit must be one of A, mA"),
     ],
