@@ -593,7 +593,7 @@ def _datatype(name: str, column: np.dtype[np.generic]) -> tuple[int, int]:
         return _UINT8, _TEXT_DTYPE.itemsize
     if column not in _DATATYPE_OF:
         allowed = ", ".join([*map(str, _DATATYPE_OF), TEXT])
-        raise CodecError(f"type of column {name!r} must be one of {allowed}, got {column}")
+        raise CodecError(f"column {name!r} cannot be encoded: its type is {column}; convert it to one of {allowed}")
     return _DATATYPE_OF[column], 1
 
 

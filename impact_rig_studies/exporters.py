@@ -91,7 +91,7 @@ def _response(points: Sequence[Point]) -> dict[str, NDArray[np.generic]]:
     settled = [point for point in points if point.settled]
     if not settled:
         raise RecordingError(
-            "no point of this campaign has a settled measurement, so there is no curve to export; "
+            "no point of this campaign has a settled measurement, so a .uff file has no curve of DT over frequency; "
             "points.csv lists the status of each point"
         )
     one_current = len({point.current_a for point in points}) == 1

@@ -102,7 +102,8 @@ def time_traces(
         rows: scans.
         impact_times: instants of the marks on the time axis of the scans [s], shape (k,).
         remark: text above the lowest axes.
-        units: SI unit of each channel, by name.
+        units: SI unit of the values of each channel in `rows`, by name. It decides whether a channel is drawn as a
+            displacement (in mm), a velocity (mm/s), an acceleration (m/s²) or a current (A).
     """
     shown = [one for one in TRACES if one[0] in (rows.dtype.names or ())] or [("current", "")]
     figure, axes = _axes(len(shown))

@@ -90,8 +90,14 @@ def more_windows(taken: int, reached: float, share: float) -> int:
     the drive. If it fell to the fraction ε in n windows, it takes n ln(s) / ln(ε) more (rounded up) to fall by the
     factor s. A transient below the noise cannot be measured any more, but is assumed to keep its pace.
 
-    `taken` is n, the number of windows from the change of the drive to the first measured one. `reached` is ε, and
-    `share` is s, 0 < s < 1. The result is 0 if ε is not between 0 and 1.
+    Args:
+        taken: n, the number of windows from the change of the drive to the first of the windows averaged now.
+        reached: ε, the fraction of its first size below which the transient has fallen by now; if it is lost in the
+            noise, the limit set by the noise.
+        share: s, 0 < s < 1.
+
+    Returns:
+        Number of windows; 0 if ε is not between 0 and 1.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 

@@ -135,17 +135,20 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
         parser.add_argument(
             "--namespace", help=f"namespace of the running rig; only with --through running (default: {NAMESPACE})"
         )
-    add_config(parser)
+    refused = "; not for a running rig" if RUNNING in ways else ""
+    add_config(parser, f"rig configuration (default: the paper's rig{refused})")
     parser.add_argument(
         "--gap",
         type=GAP,
         metavar="LENGTH",
-        help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured)",
+        help="total gap between sphere and barriers with its unit, e.g. 6mm; none: no sphere (default: as configured"
+        f"{refused})",
     )
     parser.add_argument(
         "--sphere-start",
         choices=("left", "centre", "right"),
-        help="start position of the sphere: left or right barrier, or centre between them (default: as configured)",
+        help="start position of the sphere: left or right barrier, or centre between them (default: as configured"
+        f"{refused})",
     )
 
 

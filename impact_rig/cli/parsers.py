@@ -401,8 +401,8 @@ def add_daqmx(commands: Commands) -> None:
     )
     parser.add_argument(
         "--namespace",
-        help="namespace of a running rig to serve, which keeps its configuration (default: this program simulates a "
-        "rig)",
+        help="namespace of a running rig for scripts to use; in its own configuration, time.mode must be realtime and "
+        "drive.waveform stream; not with --config (default: this program simulates a rig)",
     )
     parser.add_argument(
         "--device",
@@ -462,7 +462,9 @@ def add_interface(commands: Commands) -> None:
         "docs/reference/interface.md lists the kinds of such changes.",
     )
     add_json(
-        parser, "print all of it as JSON, with columns, ranges and defaults, instead of a table of names and types"
+        parser,
+        "print as JSON: the whole interface, with columns, ranges and defaults, instead of a table of topics and "
+        "services; with --against, the changes",
     )
     parser.add_argument(
         "--against",

@@ -88,12 +88,12 @@ class Quantity:
         if text in self.words:
             return self.words[text]
         unit = self.about.unit
-        powers = POWERS.get(unit, {unit: 0})
+        powers = POWERS.get(unit, {unit: 0} if self.about.unit_text else {})
         match = _FORM.fullmatch(unicodedata.normalize("NFKC", text.strip()))
         number, written = match.groups() if match else ("", None)
         if self.names and (not match or (written and written not in powers)):
             return text
-        if not match:
+        if not match or (written and not powers):
             raise ConfigError(f"must be a number{self._with_unit()}, got {text!r}")
         if written is None and unit == LENGTH:
             raise ConfigError(
@@ -103,7 +103,7 @@ class Quantity:
             raise ConfigError(f"the unit must be one of {', '.join(powers)}, got {text!r}")
         value = float(Decimal(number).scaleb(powers[written] if written else 0))
         if not self.about.allows(value):
-            raise ConfigError(f"must be {self.about.range_text()} {unit}, got {text!r}")
+            raise ConfigError(f"must be {self.about.range_text()}{self.about.unit_text}, got {text!r}")
         return value
 
     def number(self, text: str) -> float:
@@ -119,7 +119,7 @@ class Quantity:
     def _with_unit(self) -> str:
         if self.about.unit == LENGTH:
             return f" with its unit, e.g. 6mm{self._or_words()}"
-        return f" in {self.about.unit}{self._or_words()}"
+        return f"{' in' if self.about.unit_text else ' without a unit'}{self.about.unit_text}{self._or_words()}"
 
     def _or_words(self) -> str:
         return "".join(f", or {word}" for word in self.words)

@@ -87,6 +87,11 @@ class FieldInfo:
     means: str = ""
 
     @property
+    def unit_text(self) -> str:
+        """The unit with a blank before it, as it follows a number; empty if there is none."""
+        return "" if self.unit == "-" else f" {self.unit}"
+
+    @property
     def meaning(self) -> str:
         """Meaning of the value as a part of a sentence: it begins in lower case and has no full stop."""
         return self.doc[:1].lower() + self.doc[1:].rstrip(".")
@@ -123,16 +128,15 @@ def describe_fields(section: type[S]) -> type[S]:
     lines = [inspect.cleandoc(section.__doc__ or ""), "", "Attributes:"]
     for attribute in attrs.fields(section):
         about = info(attribute)
-        unit = "" if about.unit == "-" else f" {about.unit}"
-        text = f"{attribute.name}: {about.meaning} ({about.range_text()}{unit}; default: {attribute.default})."
+        allowed = f"{about.range_text()}{about.unit_text}"
+        text = f"{attribute.name}: {about.meaning} ({allowed}; default: {attribute.default})."
         lines += textwrap.wrap(text, 100, initial_indent="    ", subsequent_indent="        ")
     section.__doc__ = "\n".join(lines)
     return section
 
 
 def _wrong(attribute: attrs.Attribute[Any], rule: str, value: object) -> ConfigError:
-    unit = info(attribute).unit
-    return ConfigError(f"{attribute.name} must be {rule}, got {quoted(value)}{'' if unit == '-' else f' {unit}'}")
+    return ConfigError(f"{attribute.name} must be {rule}, got {quoted(value)}{info(attribute).unit_text}")
 
 
 def _in_range(attribute: attrs.Attribute[Any], value: float) -> None:

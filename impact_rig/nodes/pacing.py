@@ -43,11 +43,11 @@ _AT_ONCE_S = 1e-6
 
 @attrs.frozen
 class Lateness:
-    """Median, 99th percentile and maximum of how late the newest blocks, at most 3000, were published [ms]."""
+    """Delay from when blocks were due to when they were published [ms], over the newest blocks, at most 3000."""
 
     median_ms: float
-    p99_ms: float
-    worst_ms: float
+    p99_ms: float  # 99th percentile
+    worst_ms: float  # maximum
 
 
 class Pacer:

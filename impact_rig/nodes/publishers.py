@@ -190,7 +190,10 @@ class Publishers:
         self._decides_monitors: object = None
 
     def names(self) -> list[str]:
-        """Return the topics that this rig publishes now and that no other node may publish at the same time."""
+        """Return the names of the topics that this rig publishes now and that no other node may publish.
+
+        These are all but `robot_description`. The names are relative to the rig's namespace, as in `topics`.
+        """
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
     def poll(self, often: bool) -> None:

@@ -109,7 +109,8 @@ class DuplicatePublishers:
 
     Args:
         node: node of this rig.
-        names: returns the topics that this rig publishes now and no other node may publish.
+        names: returns the names, relative to the rig's namespace as in `topics`, of the topics that this rig publishes
+            now and that no other node may publish.
     """
 
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:

@@ -233,7 +233,7 @@ class Rig:
 
     @property
     def frontier_sample(self) -> int:
-        """Index of the first scan that an input made now acts on."""
+        """Number of the first scan that an input made now acts on, counted from scan 0 of the last start or reset."""
         return -(-self._ticks * self.rate_hz // TICKS_PER_S)
 
     @property

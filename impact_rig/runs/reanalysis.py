@@ -324,7 +324,10 @@ class Agreement:
 
 @attrs.frozen
 class _Blind:
-    """Series of scans that one of the two analyses has not received: those after scan `begin`, up to scan `end`."""
+    """Series of scans that one of the two analyses has not received: above `begin`, up to and including `end`.
+
+    Both are numbers of scans. `begin` is −∞ for the scans before the first one that it received.
+    """
 
     begin: float
     end: float
@@ -332,7 +335,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """Measurement of one of the two analyses, made from the scans after scan `begin`, up to scan `end`."""
+    """Measurement of one of the two analyses, made from the scans above `begin`, up to and including `end`."""
 
     begin: int
     end: int

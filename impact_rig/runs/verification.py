@@ -426,6 +426,9 @@ def _s(time_ns: int) -> str:
 class _Recorded:
     """Comparison of the recorded messages of one topic, in recorded order, with those of the re-simulation.
 
+    Messages are paired by their stamps. After the first pair, a missing or additional message is a difference (see
+    `expect`).
+
     The attribute `coming` is stamp [ns] and content of the next recorded message; None if there is none.
 
     Args:

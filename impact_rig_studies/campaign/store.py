@@ -203,7 +203,10 @@ class Store:
             if not np.all(np.abs(column) <= MOST):
                 raise DamagedPointError(f"{path}: column {name} must be finite and within ±{MOST:g}")
         if hashlib.sha256(packed).hexdigest() != digest:
-            raise DamagedPointError(f"{path} was changed after it was stored, or is the trace of another job")
+            raise DamagedPointError(
+                f"{path} was changed after it was stored, or belongs to another result: its digest is not the one in "
+                f"{path.with_suffix('.json').name}"
+            )
         return dict(arrays)
 
     def _path(self, job: Job, suffix: str) -> Path:

@@ -470,8 +470,9 @@ class _Profile:
     def factors(self, theta: Real) -> list[Real]:
         """Return starts for the fits: the log constants `theta` with all forces and masses scaled by a common factor.
 
-        Of the factors `FACTORS`, those are used at which simulated and measured ratios of DT agree best: local minima
-        of their misfit, at most `TRIED`, and none that is worse than the best one by more than `WORSE`.
+        Of the factors whose logarithms are in `FACTORS`, those are used at which the simulated and measured ratios (DT
+        with the sphere / DT without it, at each gap) agree best. These are local minima of the misfit, at most `TRIED`,
+        and none that is worse than the best one by more than `WORSE`.
         """
         misfits = []
         for factor in FACTORS:

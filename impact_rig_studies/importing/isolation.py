@@ -97,7 +97,7 @@ def run(
     if _REFUSED in reply:
         kind = budget.BudgetError if reply["budget"] else RecordingError
         message = str(reply[_REFUSED])
-        raise kind(message if str(path) in message else f"{path}: {message}")
+        raise kind(message if str(path) in message else f"{path} cannot be read: {message}")
     if _MEMORY in reply:
         raise RecordingError(
             f"{path} needs more memory to read than is allowed for a file of {file_bytes} bytes; if you trust it, "

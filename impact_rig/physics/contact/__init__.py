@@ -78,7 +78,8 @@ class Contact:
     calibration: str = choice(
         "nominal",
         ("nominal", "exact"),
-        "nominal: the law uses e as published; exact: the law is adjusted to rebound with exactly e.",
+        "nominal: the law uses e as published; exact: the law exact, which rebounds with exactly e, replaces it, "
+        f"unless it is one of {', '.join(name for name, law in LAWS.items() if not law.adjustable)}.",
         Origin.PAPER,
     )
     speed_floor_m_s: float = quantity(

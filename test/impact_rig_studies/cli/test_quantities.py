@@ -28,6 +28,7 @@ from impact_rig.config import FieldInfo
 from impact_rig.config.sections import Drive
 from impact_rig.errors import ConfigError
 from impact_rig_studies.cli.parsers import GAP_LABEL
+from impact_rig_studies.operate.plans import HoldPlan
 
 LENGTH_OPTIONS = {"--gap", "--drop", "--abort"}
 
@@ -92,6 +93,22 @@ def test_other_quantities_may_omit_the_unit() -> None:
         frequency.parse("9.1 rpm")
     with pytest.raises(ConfigError, match="must be a number in Hz"):
         frequency.parse("fast")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2", "must be > 0 and <= 0.5, got '2'"),
+        ("x", "must be a number without a unit, got 'x'"),
+        ("0.1-", "must be a number without a unit, got '0.1-'"),
+    ],
+)
+def test_a_message_about_a_quantity_without_a_unit_names_none(text: str, message: str) -> None:
+    tolerance = Quantity.of(attrs.fields(HoldPlan).tolerance)
+    assert tolerance.parse("0.1") == 0.1
+    with pytest.raises(ConfigError) as error:
+        tolerance.parse(text)
+    assert str(error.value) == message
 
 
 def test_an_option_accepts_a_length_or_the_name_of_a_signal() -> None:
