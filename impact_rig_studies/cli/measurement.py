@@ -46,6 +46,8 @@ def run_import(arguments: argparse.Namespace) -> int:
     from impact_rig_studies.importing.conversion import convert  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.readers import read  # noqa: PLC0415  # as above
 
+    if arguments.config is not None and not arguments.campaign:
+        raise ConfigError("--config has an effect only with --campaign: add --campaign, or omit --config")
     console = Console(quiet=arguments.json)
     drive = read(arguments.commands) if arguments.commands else None
     sheet = read(arguments.calibration) if arguments.calibration else None

@@ -207,7 +207,7 @@ def add_import(commands: Commands) -> None:
     add_config(
         parser,
         "with --campaign: rig configuration whose sphere, barriers and contact law `identify` takes as known, and "
-        "whose constants start its fit (default: the paper's rig); not used without --campaign",
+        "whose constants start its fit (default: the paper's rig)",
     )
 
 

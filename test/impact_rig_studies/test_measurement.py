@@ -606,6 +606,7 @@ def test_stated_properties_of_the_sensors_of_a_sweep_must_agree(
         (["--campaign"], ["--gap", "6mm"], "laser [m/s],base [mm]", "two: unit of laser is m/s, but m in one"),
         (["--campaign"], ["--gap", "6mm", "--channel", "laser="], "laser [mm],base [mm]", "no file contains"),
         (["--campaign"], ["--gap", "6mm", "--config", "none.yaml"], "laser [mm],base [mm]", "cannot read"),
+        ([], ["--gap", "6mm", "--config", "none.yaml"], "laser [mm],base [mm]", "an effect only with --campaign"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("there", [False, True])
