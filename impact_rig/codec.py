@@ -525,8 +525,8 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
         offset, datatype, repeat = cursor.u4("offset"), cursor.u1("datatype"), cursor.u4("count")
         if not name or name in columns:
             raise CodecError(
-                f"names of fields must be unique and not empty, got {name!r}{' twice' if name else ''}: its sender "
-                "must give each field a name of its own"
+                f"names of fields must be unique and not empty, got {name!r}{' twice' if name else ''}: the "
+                "sender of the message must give each field a name of its own"
             )
         if datatype not in _FORMAT_OF_DATATYPE:
             raise CodecError(f"datatype of field {name!r} must be 1 to 8 (INT8 to FLOAT64), got {datatype}")

@@ -546,6 +546,7 @@ class RosRig(RigDriver):
         return StreamLevel(sample, buffered, *(int(row[name]) for name in ("capacity", "late", "missing")))
 
     def _published_states(self) -> Collector:
+        """Return the received states of the stream (`shaker/stream`), or raise a CommandError without a stream."""
         if self._stream is None or self.config.drive.waveform != "stream":
             raise CommandError(
                 f"the drive is {self.config.drive.waveform}, not a stream: start the rig with drive.waveform: stream"

@@ -495,7 +495,7 @@ class Run:
         if not recorded_order:
             places.sort(key=lambda place: place.segment.first_ns)
         pending: list[_Item] = []
-        account, most = self._account(), round(budget.HELD_BYTES // budget.MESSAGE_BYTES * budget.factor())
+        account, most = self._account(), budget.raised(budget.HELD_BYTES // budget.MESSAGE_BYTES)
         coming, ahead = deque(places), deque[tuple[_Place, Future[memoryview]]]()
         while coming or ahead:
             while coming:

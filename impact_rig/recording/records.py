@@ -166,6 +166,9 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """First bytes of a zstd frame; a CDR message begins with 00."""
 
 
+UNSTATED_BYTES = 2**30  # limit for a zstd frame that does not state its size: so much is allocated to decompress it
+
+
 def plain_message(data: memoryview, most: int) -> memoryview:
     """Return the CDR bytes of a message; decompress them if the recorder compressed each message on its own with zstd.
 
@@ -185,7 +188,7 @@ def plain_message(data: memoryview, most: int) -> memoryview:
                 f"a compressed message states a size of {claimed} bytes, the limit is {most} bytes; if you trust the "
                 f"source, set the environment variable {budget.VARIABLE}=N to allow N times the default"
             )
-        content = zstandard.ZstdDecompressor().decompress(data, max_output_size=most)
+        content = zstandard.ZstdDecompressor().decompress(data, max_output_size=min(most, UNSTATED_BYTES))
     except zstandard.ZstdError as error:
         raise DamageError(f"a compressed message cannot be decompressed: {error}") from error
     return memoryview(content)

@@ -674,7 +674,7 @@ class Rig:
 
         Args:
             number: number of the fault, as returned by `inject`; None ends all faults, also planned ones. A fault that
-                has not begun then never acts. The number of a fault that has already ended is allowed and has no
+                has not started yet never acts. The number of a fault that has already ended is allowed and has no
                 effect.
 
         Raises:

@@ -80,8 +80,6 @@ def allow(what: str, amount: float, limit: float) -> None:
 def factor() -> float:
     """Return the factor by which the environment variable IMPACT_RIG_BUDGET raises all limits; 1 if it is not set.
 
-    The value `inf` removes all limits.
-
     Raises:
         BudgetError: the environment variable is not a number >= 1.
     """

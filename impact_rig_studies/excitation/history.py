@@ -82,7 +82,7 @@ class ReplicatePlan:
         identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
             played.
         burst_s: duration of the burst before each trial, if one is needed [s]; at most `identify_s` is used.
-        response: response that follows the history, one of `Response` but `BASE_ACCELERATION`, which has no sensor.
+        response: response that follows the history, one of `Response` except `BASE_ACCELERATION`, which has no sensor.
         seed: seed of the random phases of the drive while the response function is measured.
     """
 
@@ -101,7 +101,7 @@ class ReplicatePlan:
     def _has_a_sensor(self, _attribute: object, response: Response) -> None:
         if response is Response.BASE_ACCELERATION:
             others = ", ".join(one for one in Response if one is not response)
-            raise ValueError(f"response must have a sensor: {others}; got {response}")
+            raise ValueError(f"response must be one with a sensor of its own ({others}), got {response}")
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -87,8 +87,7 @@ _CAPITALS = {
 """Units that some data loggers print in capitals."""
 _OTHER_MEANING = ("H", "Mg", "MG", "In")  # henry, megagram; words of headings
 _OTHER_UNITS = frozenset({
-    "°", "deg", "degree", "degrees", "rad", "n", "kn", "pa", "kpa", "mpa", "bar", "psi", "%", "db", "k", "°c", "rpm",
-    "1/min",
+    "°", "deg", "degree", "degrees", "rad", "n", "kn", "pa", "kpa", "mpa", "bar", "psi", "%", "db", "k", "°c",
     "-", "w", "j", "kg", "nm", "lbf", "counts", "count", "raw", "n/a", "none", "a.u.", "arb", "µstrain", "v/v", "1",
     "dimensionless",
 })  # fmt: skip
@@ -102,7 +101,6 @@ _ANGULAR = {
     "turn": 1.0, "u": 1.0, "1": 1.0,
 }  # fmt: skip
 """Cycles per unit of an angle. Per unit of time they are frequencies; pint takes the radian as 1, not as 1/(2π)."""
-_RPM = 1.0 / 60.0
 _DOUBTFUL = {
     "G": "standard gravity (9.80665 m/s^2), not gauss",
     "Gs": "standard gravity (9.80665 m/s^2), not gauss",
@@ -159,7 +157,7 @@ def is_unit(text: str) -> bool:
     """Return whether a cell of a table's heading is a unit of any quantity, which distinguishes it from a name."""
     bare = _bare(text)
     bare = bare[1:-1].strip() if bare.startswith("(") and bare.endswith(")") else bare
-    return _parse(bare) is not None or bare.lower() in _OTHER_UNITS
+    return _cycles_per_second(bare) is not None or _parse(bare) is not None or bare.lower() in _OTHER_UNITS
 
 
 def doubt(unit: str) -> str:
@@ -173,9 +171,7 @@ def _bare(unit: str) -> str:
 
 def _cycles_per_second(unit: str) -> float | None:
     """Return the frequency [Hz] of one unit of an angle per time, such as `rad/s` or `rpm`; None for any other unit."""
-    text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", _bare(unit).lower())
-    if text == "rpm":
-        return _RPM
+    text = re.sub(r"\s*(?:\bper\b|/|\bpro\b)\s*", "/", _bare(unit).lower().replace("rpm", "rev/min"))
     angle, _, time = text.partition("/")
     if angle not in _ANGULAR or (size := _parse(time)) is None or size.powers != _SECOND:
         return None

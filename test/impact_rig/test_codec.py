@@ -239,7 +239,7 @@ def test_padding_after_the_message_is_ignored(trailing):
         ({"width": 2**32 - 1}, "must both be width [*] point_step = 4294967295 [*] 9"),
         ({"fields": []}, f"number of fields must be 1 to {MAX_COLUMNS}, got 0"),
         ({"field_count": 2**32 - 1}, "number of fields must be"),
-        ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a' twice: its sender must"),
+        ({"fields": [(b"a\0", 0, 8, 1)] * 2}, "unique and not empty, got 'a' twice: the sender of the message must"),
         ({"fields": [(b"\0", 0, 8, 1)]}, "unique and not empty, got ''"),
         ({"fields": [(b"a\0", 0, 9, 1)]}, "datatype of field 'a' must be 1 to 8 [(]INT8 to FLOAT64[)], got 9"),
         ({"fields": [(b"a\0", 0, 8, 0)]}, "count of field 'a' must be 1"),

@@ -300,9 +300,7 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
 
 def test_a_response_without_a_sensor_cannot_follow_a_history(tmp_path):
     (tmp_path / "plan.yaml").write_text("response: base_acceleration")
-    with pytest.raises(
-        ConfigError, match=r"sensor: base, superior, superior_acceleration; got base_acceleration \(.*plan"
-    ):
+    with pytest.raises(ConfigError, match=r"\(base, superior, superior_acceleration\), got base_acceleration \(.*plan"):
         load(tmp_path / "plan.yaml", ReplicatePlan)
 
 

@@ -157,6 +157,7 @@ def rows_of(head: str, separator: str = ",") -> str:
         ("time,base,laser\n---,---,---", ["base", "laser"], ["", ""]),
         ("Time  1 - default sample rate [s],x,acc [g]", ["x", "acc"], ["", "g"]),
         ("x-axis,1,2\nsecond,Volt,Volt", ["1", "2"], ["Volt", "Volt"]),
+        ("x-axis,1,2\nsecond,rad/s,rpm", ["1", "2"], ["rad/s", "rpm"]),
         ("in s,CH1 in V,CH2 in V", ["CH1", "CH2"], ["V", "V"]),
         ("Time (s) Run #1,base (mm) Run #1,laser (mm) Run #1", ["base Run #1", "laser Run #1"], ["mm", "mm"]),
     ],

@@ -197,6 +197,17 @@ def test_individually_compressed_messages_are_read(native, tmp_path):
     )
 
 
+def test_compressed_messages_that_do_not_state_their_size_are_read_with_any_budget(native, tmp_path, monkeypatch):
+    def compress(data: bytes) -> bytes:
+        compressor = zstandard.ZstdCompressor().compressobj()
+        return compressor.compress(data) + compressor.flush()
+
+    path = rewrite(native, tmp_path / "bag.mcap", compress)
+    for factor in ("1", "1e6", "inf"):
+        monkeypatch.setenv(budget.VARIABLE, factor)
+        assert content(path) == content(native)
+
+
 def test_a_message_that_claims_an_excessive_size_is_rejected_unless_the_user_raises_the_limit(
     native, tmp_path, monkeypatch
 ):
