@@ -35,7 +35,7 @@ from yaml.composer import Composer
 
 from impact_rig.errors import ImpactRigError
 
-VARIABLE = "IMPACT_RIG_BUDGET"  # environment variable: factor for all limits, at least 1
+VARIABLE = "IMPACT_RIG_BUDGET"  # environment variable: factor for all limits, from 1 to inf
 
 MIB = 2**20
 CHUNK_BYTES = 32 * MIB  # limit of a decompressed chunk, and of every other record of a recording

@@ -52,6 +52,7 @@ from impact_rig.system.endings import defer_signals
 T = TypeVar("T")
 NEW_FILE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 """Flags for opening a file that must not exist yet, not even as a link."""
+READ_BYTES = 2**20  # read at once: the limit of a file's size may exceed the memory
 
 
 def open_regular(path: Path) -> int:
@@ -77,10 +78,12 @@ def read_bytes(path: Path, limit: int) -> bytes:
         OSError: the file cannot be read, is not a regular file, or is larger than `limit`.
     """
     with os.fdopen(open_regular(path), "rb") as file:
-        if os.fstat(file.fileno()).st_size <= limit:
-            content = file.read(limit + 1)
-            if len(content) <= limit:
-                return content
+        if os.fstat(file.fileno()).st_size <= limit:  # 0 for a file that the system generates
+            content = io.BytesIO()
+            while content.tell() <= limit and (part := file.read(min(READ_BYTES, limit + 1 - content.tell()))):
+                content.write(part)
+            if content.tell() <= limit:
+                return content.getvalue()
     raise OSError(errno.EFBIG, f"larger than {limit} bytes", str(path))
 
 

@@ -22,6 +22,7 @@ import os
 import resource
 import select
 import signal
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -38,6 +39,7 @@ from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, Importe
 
 LIMIT_S, LIMIT_PER_MIB_S = 8.0, 2.0
 """Limit of a reader's computing time [s]: a constant part, and a part per MiB of its file."""
+MOST_S = 1e9  # the system accepts no limit that is much longer
 READ_BYTES = 2**20
 _REFUSED, _DAMAGED, _MEMORY, _LENGTHS = "refused", "damaged", "memory", "lengths"
 
@@ -61,7 +63,7 @@ def run(
         BudgetError: the reader rejects the file because it claims more content than `limits` allow.
     """
     prepare()
-    seconds = (LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor()
+    seconds = min((LIMIT_S + LIMIT_PER_MIB_S * file_bytes / budget.MIB) * budget.factor(), MOST_S)
     is_late = False
     source, sink = os.pipe()
     with warnings.catch_warnings():
@@ -137,9 +139,9 @@ def _child(reader: Callable[[], ImportedSignals], sink: int, file_bytes: int, se
 def _limit(file_bytes: int, seconds: float) -> None:
     """Limit what this process may use from now on: `seconds` of computing time, and memory by the size of the file."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    more = (WORKING_BYTES + WORKING_PER_BYTE * file_bytes) * budget.factor()
+    more = budget.raised(WORKING_BYTES + WORKING_PER_BYTE * file_bytes)
     for kind, limit in (
-        (resource.RLIMIT_AS, pages * resource.getpagesize() + round(more)),
+        (resource.RLIMIT_AS, min(pages * resource.getpagesize() + more, sys.maxsize)),
         (resource.RLIMIT_CPU, round(time.process_time() + seconds) + 1),
     ):
         soft, hard = resource.getrlimit(kind)

@@ -37,6 +37,7 @@ import pytest
 
 from impact_rig.errors import ImpactRigError
 from impact_rig.runs.exports import write_columns
+from impact_rig.system import budget
 from impact_rig_studies.importing import file_names, headings, readers
 from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.cells import half_digit
@@ -834,6 +835,16 @@ def test_a_reader_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "own.npz").write_bytes(b"PK")
     with pytest.raises(ImpactRigError, match="takes longer to read than 0 s of computing time"):
         readers.read(tmp_path / "own.npz")
+
+
+@pytest.mark.parametrize("factor", ["1e6", "1e300", "inf"])
+def test_a_budget_beyond_the_memory_allows_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factor: str
+) -> None:
+    path = tmp_path / "own.csv"
+    path.write_text("time,laser\n" + "".join(f"{k / 1000},{k % 7}\n" for k in range(100)))
+    monkeypatch.setenv(budget.VARIABLE, factor)
+    assert len(readers.read(path).signals["laser"].values) == 100
 
 
 # --- units

@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import stat
 import warnings
 from collections.abc import Callable, Mapping
@@ -124,7 +123,7 @@ def read(path: Path) -> ImportedSignals:
         if bag_bytes is None and not stat.S_ISREG(path.stat().st_mode):
             what = "a directory" if path.is_dir() else "not a regular file"
             raise RecordingError(f"{path} is {what}: a file of measurements, or the directory of a ROS bag, is needed")
-        content = b"" if bag_bytes else files.read_bytes(path, math.ceil(FILE_BYTES * budget.factor()))
+        content = b"" if bag_bytes else files.read_bytes(path, budget.raised(FILE_BYTES))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not bag_bytes and not content:
