@@ -94,7 +94,9 @@ def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[s
 
 
 class Service:
-    """Service `nidaqmx_grpc.NiDAQmx`; each method serves the call of the same name, others answer UNIMPLEMENTED.
+    """Service `nidaqmx_grpc.NiDAQmx`; each method serves the call of the same name.
+
+    `servicer` adds the calls that get or set a property. All others answer UNIMPLEMENTED.
 
     Args:
         board: the rig as a board.
@@ -156,7 +158,7 @@ class Service:
     def WaitUntilTaskDone(self, request: Any, context: Any) -> None:
         """Wait until all samples of a task are acquired or generated.
 
-        Fail after `time_to_wait` seconds of wall time (negative: no limit).
+        Fail after `time_to_wait` seconds of wall time (negative: no limit), or at once if the task was not started.
         """
         self.board.wait_until_done(self._task(request), request.time_to_wait, context.is_active)
 
@@ -201,12 +203,12 @@ class Service:
 
     @_served
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
-        """Let the start of a task of the other kind (input or output) start this task."""
+        """Make this task, once started, wait until a task of the other kind (input or output) starts."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
 
     @_served
     def DisableStartTrig(self, request: Any, context: Any) -> None:
-        """Remove the start trigger of a task, so that it starts on request only."""
+        """Remove the start trigger of a task, so that its start takes effect at once."""
         self.board.configure_trigger(self._task(request), "")
 
     @_served
@@ -233,7 +235,10 @@ class Service:
 
     @_served
     def ReadAnalogWaveforms(self, request: Any, context: Any) -> dict[str, Any]:
-        """Read the next samples of all channels of a task as waveforms, with time, channel and unit if requested."""
+        """Read the next samples of all channels of a task as waveforms, with time, channel and unit if requested.
+
+        A task without a sample clock has no time.
+        """
         task = self._task(request)
         most = MOST_MESSAGE_BYTES // 9 // max(1, len(task.channels))
         values = self.board.read(task, request.num_samps_per_chan, most, request.timeout, context.is_active)
@@ -316,7 +321,7 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield a response, with the error code, each time that a task has completed its samples or failed."""
+        """Yield a response each time that a task has completed its samples (error code 0) or failed (its code)."""
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return int(task.state is State.DONE and not reported)
@@ -388,7 +393,7 @@ class Service:
             request: request of the client, with the number of the property.
 
         Raises:
-            DaqmxError: this board does not have the property.
+            DaqmxError: the device, task or channel is unknown, or this board does not have the property.
         """
         attribute = request.attribute_raw or request.attribute
         if name.startswith("SystemInfo"):
@@ -474,7 +479,8 @@ class Service:
         """Set a property of a task.
 
         Raises:
-            DaqmxError: the property cannot be set on this board, not while the task runs, or not to this value.
+            DaqmxError: the task or channel is unknown, or the property cannot be set on this board, not while the task
+                runs, or not to this value.
         """
         pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
         value = _value(request, "value")

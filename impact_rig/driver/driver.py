@@ -181,6 +181,8 @@ class RigDriver(abc.ABC):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values from the first scan not measured yet; return the new configuration.
 
+        Values of `drive` and the seed apply only from the next reset.
+
         Args:
             changes: new values, `section.key` -> value.
 
@@ -190,7 +192,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault, which starts at its `start_sample`; return its number, from 1 with the planned ones.
+        """Add an instrument fault, which starts at its `start_sample`; return its number, counted after planned ones.
 
         Raises:
             ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
@@ -206,7 +208,8 @@ class RigDriver(abc.ABC):
                 arrive too late are dropped, and counted as `late` in `stream_level`.
 
         Raises:
-            CommandError: the rig rejects the samples, or its shaker is stopped.
+            CommandError: the rig rejects the samples (a `RosRig` does so later, without an error), or its shaker is
+                stopped.
         """
 
     @abc.abstractmethod
@@ -368,11 +371,12 @@ class RigDriver(abc.ABC):
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, *, at_sample: int | None = None
     ) -> int:
-        """Command the drive: frequency and current of a sine.
+        """Command the drive: frequency of a sine, amplitude of a sine or random drive.
 
         Args:
             frequency_hz: new frequency [Hz], within the shaker's range (by default 5 to 200); None leaves it unchanged.
-            current_a: new current [A peak], from 0 to the shaker's limit (by default 21.2); None leaves it unchanged.
+            current_a: new amplitude, peak (rms for a random drive), in A, m or V by `drive.kind`, from 0 to the
+                shaker's limit (by default 21.2 A); None leaves it unchanged.
             at_sample: scan to run to first; it must begin a block and lie on the 10 ms grid of commands. None means
                 now.
 
@@ -380,8 +384,9 @@ class RigDriver(abc.ABC):
             Number of the first scan that the command acts on.
 
         Raises:
-            CommandError: a value is out of range, the shaker is stopped, or no command can act on this scan. A rig that
-                runs by itself may pass `at_sample` before the command arrives; the command then acts later.
+            CommandError: a value is out of range, the drive does not accept it, the shaker is stopped, or no command
+                can act on this scan. A rig that runs by itself may pass `at_sample` before the command arrives; the
+                command then acts later.
             ConfigError: the rig has already passed `at_sample`.
             TimeoutError: as for `step`, on the way to `at_sample`.
         """
@@ -500,7 +505,7 @@ class RigDriver(abc.ABC):
             count: number of rows.
 
         Returns:
-            Rows, shape (count,), oldest first; fewer if the rig keeps fewer.
+            Rows, shape (count,), oldest first; fewer if the rig keeps fewer (a `RosRig` waits for them).
 
         Raises:
             ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
@@ -521,8 +526,8 @@ class RigDriver(abc.ABC):
     def report(self) -> str:
         """Return a report about this rig, of several lines, for a failed test.
 
-        It lists the settings that differ from the defaults, the faults, the first five ranges of scans that were not
-        published, and the last ten changes of the drive.
+        It lists the settings that differ from the defaults (except `time`), the faults, the first five ranges of scans
+        that were not published, and the last ten changes of the drive.
         """
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]
@@ -561,9 +566,10 @@ def first_scan_on_grid(sample: int, rate_hz: int) -> int:
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values; None: no values.
+    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values.
 
-    The `faults` are added to the planned faults of the configuration (`instruments.faults.planned`).
+    None means the defaults. The `faults` are added to the planned faults of the configuration
+    (`instruments.faults.planned`).
 
     Raises:
         ConfigError: a key is unknown, or a value or fault is invalid.

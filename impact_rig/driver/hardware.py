@@ -71,6 +71,7 @@ class AnalogOutput:
         next_sample: number of the next sample to be written, counted from scan 0; None before the start.
 
     Raises:
+        CommandError: the drive of the rig is not a stream.
         ConfigError: the buffer is shorter than two blocks of scans, or longer than that of the rig.
     """
 
@@ -182,7 +183,7 @@ class AnalogOutput:
     def stop(self) -> None:
         """End the stream after the written samples: the drive ramps to zero, and the rig waits for no more samples.
 
-        Has no effect if the output is not playing or the rig has stopped.
+        Samples that wait for `start` are dropped. It is no error if the output is not playing or the rig has stopped.
         """
         with self._rig.turns:
             if self._playing and self.next_sample is not None:
@@ -240,7 +241,7 @@ class AnalogOutput:
 
 
 class Acquisition:
-    """Buffered input: it keeps the scans of a rig from the start until they are read.
+    """Buffered input: it keeps the scans of a rig, from the call of `start` on, until they are read.
 
     Args:
         rig: rig to read; calls drop the tables that it keeps, except calibrations, commands and journal.
@@ -301,7 +302,7 @@ class Acquisition:
         return (stamp_ns(scan, rig.rate_hz) - stamp_ns(sample, rig.stream_rate_hz)) / NS_PER_S
 
     def read(self, count: int, timeout_s: float = TIMEOUT_S) -> NDArray[np.void]:
-        """Return the next `count` scans as soon as they have arrived.
+        """Return the next `count` scans as soon as they have arrived; start the acquisition if necessary.
 
         Args:
             count: number of scans.
@@ -386,7 +387,8 @@ class Hardware:
         Raises:
             ConfigError: samples and scans have different rates.
             TimeoutError: the rig did not advance in time.
-            CommandError: a reading exceeds the limit of `abort`, or the shaker was stopped.
+            CommandError: a reading exceeds the limit of `abort`, samples were rejected or came too late, or the shaker
+                was stopped.
         """
         _check_rates(self.rig)
         values = np.asarray(samples, np.float64)

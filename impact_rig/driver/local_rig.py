@@ -198,6 +198,9 @@ class LocalRig(RigDriver):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values from the first scan that is not measured yet.
 
+        Values of `drive` and the seed apply only from the next reset. A change of the mechanics puts the sphere back to
+        `sphere.start`.
+
         Args:
             changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
 
@@ -247,13 +250,15 @@ class LocalRig(RigDriver):
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`); a recording holds those accepted.
 
+        Samples that come too late are dropped, and counted as `late` in `stream_level`.
+
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
             samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
 
         Raises:
-            CommandError: the drive is no stream, the shaker is stopped, or a sample is not finite or exceeds shaker or
-                buffer.
+            CommandError: the drive is no stream, the shaker is stopped, a pluck has locked the base, or a sample is not
+                finite or exceeds shaker or buffer; then none of the samples is used.
         """
         self.core.feed(first, samples)
         if self._recording is not None:

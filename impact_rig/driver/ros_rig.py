@@ -80,10 +80,10 @@ They are read-only, or define how this program drives the rig.
 class RosRig(RigDriver):
     """Rig reached over ROS topics, newly started on a ROS domain of its own or already running.
 
-    It has the methods of `LocalRig`. Its `client` sends commands and calls services like an operator's program. Use it
-    to test ROS 2 nodes: `host` runs a node in this process, `start_node` starts one as a process, and each step waits
-    until the node has processed its scans. Used as a context manager, it ends everything that it has started. It needs
-    ROS 2.
+    It has the methods of `LocalRig` except `reset`. Its `client` sends commands and calls services like an operator's
+    program. Use it to test ROS 2 nodes: `host` runs a node in this process, `start_node` starts one as a process, and
+    each step waits until the node has processed its scans. Used as a context manager, it ends everything that it has
+    started. It needs ROS 2.
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
@@ -457,6 +457,9 @@ class RosRig(RigDriver):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change parameters of the rig's node from the first scan that is not measured yet.
 
+        Values of `drive` and the seed apply only from the next reset. A change of the mechanics puts the sphere back to
+        `sphere.start`.
+
         Args:
             changes: new values, `section.key` -> value, as in docs/reference/configuration.md.
 
@@ -510,7 +513,8 @@ class RosRig(RigDriver):
         """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.
 
         The rig's node checks them later. It ignores samples that arrive too late (`late` of `stream_level`). If a
-        sample exceeds shaker or buffer, it drops all samples of the call, logs a warning and counts the rejection.
+        sample is not finite or exceeds shaker or buffer, it drops all samples of the call, logs a warning and counts
+        the rejection.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -579,7 +583,7 @@ class RosRig(RigDriver):
         processes.
 
         Args:
-            config: new configuration of the rig.
+            config: new configuration of the rig, without the settings that `restart` leaves unchanged.
 
         Raises:
             ImpactRigError: a node of the rig has ended or does not answer.
@@ -611,7 +615,7 @@ class RosRig(RigDriver):
 
         Args:
             config: new configuration of the rig; its values of these settings are not applied.
-            analysis: parameters of the analysis, if the rig has one.
+            analysis: parameters of the analysis to set, if the rig has one; others stay as they are.
             record: directory of the run that the recorder writes from now on; None means no recording.
 
         Raises:
