@@ -189,7 +189,7 @@ class AddressedActivation:
 
     Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
     that receives it. Before you wait for the effect of a command, call `given`. The check that it returns raises an
-    error once that activation has been replaced, or once the rig has not reported for two seconds.
+    error once that activation has been replaced, or once the rig, having reported before, is silent for two seconds.
 
     Args:
         clock: monotonic clock [s].
@@ -242,7 +242,8 @@ class AddressedActivation:
     def given(self, what: str, silence_s: float = GONE_S) -> Check:
         """Return a check that raises `RigGoneError` once the activation that is addressed now is over.
 
-        It is over if another activation has reported, or if no report has arrived for `silence_s` seconds.
+        It is over if another activation has reported, or if no report has arrived for `silence_s` seconds since this
+        call. Before any report, the first activation that reports is addressed, and silence does not count.
 
         Args:
             what: what the rig was asked to do, for the message.
@@ -563,7 +564,8 @@ class Client:
             number of the first scan that the command acts on.
 
         Raises:
-            CommandError: the rig rejected the command; the message is that of the rig.
+            CommandError: the rig rejected the command; the message is that of the rig. If it rejected only the current,
+                the new frequency stays applied.
             TimeoutError: the rig neither applied nor rejected it in time.
             GoneError: the rig that received it is gone.
         """
@@ -665,6 +667,7 @@ class Client:
             ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or a peer does not
                 acknowledge; the message says which.
             TimeoutError: the rig did not answer in time.
+            GoneError: the rig is gone.
         """
         if blocks is not None:
             self.set_parameters("rig", {"step.blocks": blocks})
@@ -721,7 +724,8 @@ class Client:
             name: service name, relative to the namespace.
             request: the request.
             timeout_s: time limit for the service to appear, and again for its answer [s].
-            repeatable: whether to send the request again every 2 s until the answer arrives.
+            repeatable: whether to send the request again every 2 s until the answer arrives; always so for services
+                that get or set parameters, or get a lifecycle state.
             may_be_silent: whether to continue to wait even if the rig does not report its state for seconds.
 
         Returns:
@@ -821,6 +825,7 @@ class Client:
             Whether the transition succeeded.
 
         Raises:
+            KeyError: `transition` is unknown.
             TimeoutError: the node did not answer in time.
         """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))

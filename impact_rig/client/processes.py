@@ -174,7 +174,7 @@ class Processes:
         return self.running[name]
 
     def check(self) -> None:
-        """Check that no process of the group has ended by itself.
+        """Check that no process of the group has ended, except those ended by `stop`.
 
         Raises:
             ProcessDiedError: a process has ended; the message has its name, exit code and last log lines.
@@ -278,7 +278,7 @@ def isolated_domain() -> Iterator[int]:
     Within the statement, discovery of this process and its children is limited to this machine.
 
     Raises:
-        ImpactRigError: all ids are in use, or no lock file can be created.
+        ImpactRigError: all ids (1 to 49) are in use, or no lock file can be created.
     """
     try:
         files.lock_directory()
