@@ -564,8 +564,8 @@ class Client:
             number of the first scan that the command acts on.
 
         Raises:
-            CommandError: the rig rejected the command; the message is that of the rig. If it rejected only the current,
-                the new frequency stays applied.
+            CommandError: both values are None, or the rig rejected the command; then the message is that of the rig. If
+                it rejected only the current, the new frequency stays applied.
             TimeoutError: the rig neither applied nor rejected it in time.
             GoneError: the rig that received it is gone.
         """
@@ -585,7 +585,8 @@ class Client:
             accepted = functools.partial(self._accepted, before, column, value, self.refusal(topic.name))
             what = f"the rig to apply the command {topic.name} = {value:g}"
             row = self.wait_until(accepted, what, timeout_s, check).rows[-1]
-        assert row is not None, "command() needs a frequency or a current"
+        if row is None:
+            raise CommandError("a command needs a frequency, a current, or both")
         return row
 
     def refusal(self, *reasons: str) -> Callable[[], str]:

@@ -384,12 +384,14 @@ class RigDriver(abc.ABC):
             Number of the first scan that the command acts on.
 
         Raises:
-            CommandError: a value is out of range, the drive does not accept it, the shaker is stopped, or no command
-                can act on this scan. A rig that runs by itself may pass `at_sample` before the command arrives; the
-                command then acts later.
+            CommandError: both values are None, one is out of range, the drive does not accept it, the shaker is
+                stopped, or no command can act on this scan. A rig that runs by itself may pass `at_sample` before the
+                command arrives; the command then acts later.
             ConfigError: the rig has already passed `at_sample`.
             TimeoutError: as for `step`, on the way to `at_sample`.
         """
+        if frequency_hz is None and current_a is None:
+            raise CommandError("a command needs a frequency, a current, or both")
         if at_sample is None:
             return self._command(frequency_hz, current_a)
         if first_scan_on_grid(at_sample, self.rate_hz) != at_sample or at_sample % self.block_scans:

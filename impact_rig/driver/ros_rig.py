@@ -197,12 +197,12 @@ class RosRig(RigDriver):
             names = dict.fromkeys((*TOPICS, *also, *([self._measurements] if self._measurements else [])))
             self._collectors = {topic: self.client.collect(topic, acknowledge=topic == SCANS) for topic in names}
             self._collectors[SCANS].then(self._hand_over)
+            self._own = {*self._peers}, {*self.processes.running}, {*self.client.node.subscriptions}
             if self.config.drive.waveform == "stream":
                 self._connect_stream()
             if running or self.config.time.mode == "realtime":
                 self._join()
             self._analysis, self._records_temporarily = analysis, record is True
-            self._own = {*self._peers}, {*self.processes.running}, {*self.client.node.subscriptions}
             self._tested: list[Any] = []
             if running:  # an earlier stop is irrelevant
                 self._journal_read = len(self._collectors[topics.JOURNAL.name])
@@ -234,7 +234,8 @@ class RosRig(RigDriver):
         `DISCOVERY_S`, the program continues without them.
         """
         self.client.publisher(topics.WAVEFORM)
-        self._stream = self.client.collect(topics.STREAM.name)
+        self._stream = Collector(topics.STREAM)
+        self._own[2].add(self.client.subscribe(topics.STREAM, self._stream.take, raw=True))
         self.client.wait_until(self._stream.last, f"{topics.STREAM.name} (drive.waveform: stream)")
         with contextlib.suppress(WaitTimeoutError):  # a process has ended, or a peer is absent
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
@@ -521,7 +522,7 @@ class RosRig(RigDriver):
             samples: samples [A, m or V by `drive.kind`], shape (n,); an empty array ends the stream there.
 
         Raises:
-            CommandError: the rig was not started with a stream as its drive, or the shaker is stopped.
+            CommandError: the rig was not started or restarted with a stream as its drive, or the shaker is stopped.
             TimeoutError: the rig does not subscribe to the topic.
         """
         self._published_states()
@@ -538,7 +539,7 @@ class RosRig(RigDriver):
             this program has sent since the state was published count as buffered.
 
         Raises:
-            CommandError: the rig was not started with a stream as its drive.
+            CommandError: the rig was not started or restarted with a stream as its drive.
         """
         states = self._published_states()
         table = states.last()
@@ -552,9 +553,9 @@ class RosRig(RigDriver):
     def _published_states(self) -> Collector:
         """Return the received states of the stream (`shaker/stream`), or raise a CommandError without a stream."""
         if self._stream is None or self.config.drive.waveform != "stream":
-            raise CommandError(
-                f"the drive is {self.config.drive.waveform}, not a stream: start the rig with drive.waveform: stream"
-            )
+            waveform = self.config.drive.waveform
+            wrong = "not yet a stream" if waveform == "stream" else f"{waveform}, not a stream"
+            raise CommandError(f"the drive is {wrong}: start the rig with drive.waveform: stream")
         return self._stream
 
     @property
@@ -652,8 +653,11 @@ class RosRig(RigDriver):
             client.trigger(f"{self._recorder}/start")
             self._run = run
         self.config, self.sample = from_flat(self.config, values), 0
-        if self._stream is not None and config.drive.waveform == "stream":
-            client.wait_until(self._stream.last, topics.STREAM.name)
+        if config.drive.waveform == "stream":
+            if self._stream is None:
+                self._connect_stream()
+            else:
+                client.wait_until(self._stream.last, topics.STREAM.name)
         self._sent_to = 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""

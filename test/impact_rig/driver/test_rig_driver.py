@@ -87,6 +87,9 @@ def test_a_rejected_request_changes_nothing(start: Start) -> None:
     rig = start(LINEAR)
     with pytest.raises(CommandError, match="current must be >= 0"):
         rig.command(current_a=99.0)
+    for at_sample in (None, 200):
+        with pytest.raises(CommandError, match="a command needs a frequency, a current, or both"):
+            rig.command(at_sample=at_sample)
     with pytest.raises(ConfigError, match=r"barriers\.gap_m"):
         rig.configure({"barriers.gap_m": -1.0})
     rig.step(2)

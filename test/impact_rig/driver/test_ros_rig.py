@@ -106,6 +106,17 @@ def test_a_restarted_rig_begins_with_an_empty_stream_and_keeps_what_cannot_be_ch
         assert (rig.config.daq.rate_hz, rig.rate_hz, rig.config.barriers.gap_m) == (10_000, 10_000, 0.002)
 
 
+def test_a_rig_can_be_renewed_with_a_stream_as_its_drive(rig: RosRig) -> None:
+    rig.configure({"drive.waveform": "stream"})
+    with pytest.raises(CommandError, match="the drive is not yet a stream: "):
+        rig.stream_level()
+    for _ in range(2):
+        rig.renew(from_flat(RigConfig(), {**LINEAR, "drive.waveform": "stream"}))
+        rig.feed(0, np.full(5000, 0.1))
+        rig.run(0.2)
+        assert rig.stream_level().buffered > 0
+
+
 def test_a_recording_whose_copy_failed_can_be_saved_to_another_directory(rig: RosRig, tmp_path: Path) -> None:
     rig.run(0.1)
     (tmp_path / "file").touch()
