@@ -616,8 +616,8 @@ class Rig:
     def pluck(self, displacement_m: float) -> None:
         """Lock the inferior base at zero and release the superior base from rest at a displacement: a free decay.
 
-        The release is at the frontier, and the drive amplitude becomes zero. The base stays locked, and commands are
-        refused, until a reset. A further pluck is allowed, and releases the superior base again.
+        The release is at the frontier, and the drive amplitude becomes zero. The base stays locked, and commands and
+        samples are refused, until a reset. A further pluck is allowed, and releases the superior base again.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
@@ -646,7 +646,7 @@ class Rig:
         self._latch(reason)
 
     def clear_trip(self) -> None:
-        """Release a shaker that `stop` or a trip has latched; it stays at zero until the next command or samples."""
+        """Release a shaker that `stop` or a trip has latched; it stays at zero until an amplitude or samples arrive."""
         self._add_entry(InputKind.CLEAR_TRIP)
         if self._latched is not None:
             self._latched, self._tripped = None, frozenset()
