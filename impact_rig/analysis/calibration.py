@@ -147,8 +147,8 @@ class Calibration:
         A channel without a row is not `present`; a figure that is NaN (unknown) becomes 0.
 
         Raises:
-            ConfigError: no row is of a known channel, or two rows are of the same one; or the rates differ or are not
-                positive, a range is empty, a lag order is unknown, or a figure is too large.
+            ConfigError: no row is of a known channel, or two rows are of the same one; or the rates differ, are not
+                positive or too high, a range is empty, a lag order is unknown, or a figure is too large.
         """
         names = [bytes(name).decode(errors="replace") for name in rows["name"]]
         counts = np.array([names.count(channel) for channel in CHANNELS])

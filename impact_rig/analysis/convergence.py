@@ -113,7 +113,8 @@ def _largest_changes(scaled: Reals, quantity: int, period: int) -> tuple[float, 
 def _is_over(scaled: Reals, period: int, tolerance: float) -> bool:
     """Return whether all later changes per period are together at most `tolerance`.
 
-    They are extrapolated as a geometric series. Changes that do not decay give False.
+    They are extrapolated as a geometric series. Changes that do not decay, or exceed `tolerance` in the later half of
+    the record, give False. Changes of the size of rounding do not count.
     """
     half = (scaled.shape[0] - period) // 2
     for quantity in range(_QUANTITIES):

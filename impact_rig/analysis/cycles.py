@@ -123,7 +123,7 @@ def distinct_phases(samples: int, period: float) -> int:
 def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
     """Return how many of the wanted harmonics of a drive frequency can be fitted; 0 if it cannot be measured at all.
 
-    The highest one stays below 0.45 times the scan rate. A frequency cannot be measured if it is not finite, below
+    The highest one is at most 0.45 times the scan rate. A frequency cannot be measured if it is not finite, below
     `LOWEST_HZ`, or has fewer than `MIN_SAMPLES_PER_CYCLE` scans per cycle.
     """
     if (

@@ -200,8 +200,9 @@ def find_resonance(
     2.6.
 
     `x` and `y` have shape (n,). The resonance is sought from `low_hz` to `high_hz`, where x must excite the structure.
-    None fits if this band has fewer than 8 lines, or if a single resonance with a frequency in the band does not
-    describe them (`FITS`). `corrected(frequency_hz)` returns the factor that corrects Y for the sensors' lag and skew.
+    None fits if a single resonance with a frequency in the band does not describe its lines (`FITS`). A band of fewer
+    than 8 lines gives None as well, also that of ±10 % (`AROUND`) in which a first result is refined.
+    `corrected(frequency_hz)` returns the factor that corrects Y for the sensors' lag and skew.
     """
     frequency = np.asarray(np.fft.rfftfreq(len(x), 1.0 / rate_hz), dtype=np.float64)
     moved, stirred = np.fft.rfft(y - y.mean()), np.fft.rfft(x - x.mean())
@@ -343,8 +344,8 @@ def _periodic(x: Real, segment: int) -> bool:
 def _effective_averages(n: int, segment: int, shared: int, window: str) -> float:
     """Return the effective number of averages over n samples.
 
-    It is less than the number of segments, because segments that overlap correlate (Welch 1967, Eq. 12). `shared` is
-    the number of samples by which they overlap.
+    It is less than the number of segments if they overlap, because they then correlate (Welch 1967, Eq. 12). `shared`
+    is the number of samples by which they overlap.
     """
     step = segment - shared
     count = (n - shared) // step
