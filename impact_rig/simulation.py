@@ -105,7 +105,8 @@ class Record:
         """Draw base, structure and acceleration in the last half second against time.
 
         Args:
-            path: file to write as well, in the format of its suffix (.png, .svg, .pdf, …); None writes none.
+            path: file to write as well, in the format of its suffix (.png, .svg, .pdf, …), which replaces an existing
+                one; None writes none.
 
         Returns:
             The figure.

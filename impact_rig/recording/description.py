@@ -168,7 +168,7 @@ _Dumper.add_representer(type(None), lambda dumper, _: dumper.represent_scalar("t
 
 
 def dump_yaml(value: object) -> str:
-    """Return `value` as block-style YAML, with keys in their order."""
+    """Return `value` as block-style YAML, with keys in their order and without a newline at the end."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
     return text.rstrip("\n")
 
@@ -213,7 +213,8 @@ def definitions(type_name: str) -> dict[str, str]:
     the text in this package.
 
     Raises:
-        RecordingError: the type or one that it uses is missing, or the name is not that of a message type.
+        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the type
+            uses more than 200 types.
     """
     where = interface_prefixes()
     root = _short_name(type_name)

@@ -208,7 +208,7 @@ class Contiguity:
 
     @property
     def whole(self) -> bool:
-        """Return whether the blocks follow one another without a missing or duplicate scan."""
+        """Return whether there is no gap: no missing or duplicate scan, and no stamp that is not that of its scan."""
         return not self.gaps
 
 

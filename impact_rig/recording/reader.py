@@ -432,8 +432,8 @@ class Run:
             topic: name of the topic, such as `daq/scan`.
 
         Returns:
-            One variable per column of the tables, with unit and description as attributes. The coordinates are `time`,
-            `timestamp` and `earlier`, as in `to_dataframe`.
+            One variable per column of the tables, with unit and description, where known, as attributes. The
+            coordinates are `time`, `timestamp` and `earlier`, as in `to_dataframe`.
 
         Raises:
             RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk

@@ -174,7 +174,8 @@ def plain_message(data: memoryview, most: int) -> memoryview:
 
     Args:
         data: message in CDR, which is returned unchanged, or a zstd frame that contains one.
-        most: largest decompressed size [bytes]; a message that is not compressed is not limited.
+        most: largest decompressed size [bytes], at most 1 GiB for a frame that does not state its size; a message that
+            is not compressed is not limited.
 
     Raises:
         DamageError: the message cannot be decompressed, or its decompressed size is larger than `most`.

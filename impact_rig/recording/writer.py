@@ -213,8 +213,8 @@ class RunWriter:
             table: the table in `data`, if it has been decoded.
 
         Raises:
-            RecordingError: the topic is unknown (the run continues), or the run had to stop, now or earlier: see
-                `closed`.
+            RecordingError: the topic is unknown (the run continues); or the run is finished, or had to stop, now or
+                earlier: see `closed`.
         """
         channel = self._channels.get(topic_name)
         if channel is None:
@@ -265,7 +265,7 @@ class RunWriter:
 
         Raises:
             KeyError: the topic is not registered.
-            RecordingError: the run had to stop, now or earlier.
+            RecordingError: the run is finished, or had to stop, now or earlier.
         """
         self._write(self._channels[topic_name], data, log_time_ns, publish_time_ns, sequence, counted=False)
 
@@ -303,7 +303,7 @@ class RunWriter:
         Messages that wait for the first scan are not among them. Without `tail=True` the call has no effect.
 
         Raises:
-            RecordingError: the run had to stop, now or earlier.
+            RecordingError: the run is finished, or had to stop, now or earlier.
         """
         self._refuse_if_closed()
         if self._tail is not None:
@@ -330,7 +330,7 @@ class RunWriter:
                 attachment that replaces b must name "a" again.
 
         Raises:
-            RecordingError: the run had to stop, now or earlier.
+            RecordingError: the run is finished, or had to stop, now or earlier.
         """
         self._refuse_if_closed()
         self.supersede(attachment, instead_of)
@@ -790,7 +790,7 @@ class McapFile:
         self._buffer.drain()
 
     def shortage(self) -> str:
-        """Return the reason why one more chunk and the index may not fit on the disk; empty if they fit."""
+        """Return why one more chunk and the index may exceed the disk or the file size limit; empty if they fit."""
         index = self._index_bytes + (self._chunks + 2) * (_INDEX_BYTES_PER_CHUNK + 10 * self._channels)
         needed = self._chunk_bytes + self._largest_message + index
         limit, _ = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -274,7 +274,7 @@ class JournalView:
             was no such command since the start or reset.
         latched: the last entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
         plucked: whether the base is locked after a pluck, until the next reset.
-        start_ns: stamp of scan 0; None if no start was received.
+        start_ns: stamp of scan 0 [ns]; None if no start or reset was received.
     """
 
     def __init__(self) -> None:

@@ -64,6 +64,7 @@ def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -
 
     Raises:
         ConfigError: the journal is incomplete or does not fit this version; the message says why.
+        CommandError: the rig rejects an input of the journal.
     """
     yield from Resimulation(journal, waveform=waveform).blocks
 

@@ -58,7 +58,7 @@ class Excerpt:
     settled: bool  # whether these are the scans of a settled measurement; otherwise they are the last ones of the run
 
     def newest(self, cycles: int) -> Excerpt:
-        """Return the part of this excerpt with its last `cycles` drive cycles, or all of it if the drive is unknown."""
+        """Return the last `cycles` drive cycles of this excerpt; all of it if it is shorter or the drive is unknown."""
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])
@@ -116,7 +116,7 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
 
 
 def last_record(run: Run) -> Excerpt:
-    """Return the last contiguous scans of a run, at most `MOST_SCANS`; the drive may change within them.
+    """Return the last contiguous scans of a run, at most about `MOST_SCANS`; the drive may change within them.
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_SCANS` contiguous scans at its end.
@@ -196,8 +196,8 @@ def response_of(
             None means the estimated one.
 
     Raises:
-        RecordingError: the scans are too few, lack laser or base, or no excited frequency has a coherence of at least
-            `COHERENT`.
+        RecordingError: the scans are too few, lack laser, base or a calibration, an argument is invalid, or no excited
+            frequency has a coherence of at least `COHERENT`.
     """
     excerpt = last_record(run)
     need_motions(run, excerpt.rows)

@@ -218,7 +218,8 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
         found += _response_functions(numbers, columns.get(CURVE))
     if not found:
         raise RecordingError(
-            "a UFF file holds functions of time or frequency; this table has neither: use .csv, .npz or .parquet"
+            "a UFF file holds functions of time or frequency, of at least two points; this table has none: use .csv, "
+            ".npz or .parquet"
         )
     return found
 
@@ -228,7 +229,7 @@ def _response_functions(
 ) -> Iterator[dict[str, object]]:
     """Yield the datasets of X_1/X_b over frequency: one per text in `curve`; without it, one per value of `gap`.
 
-    Rows without a finite value are left out, and so are functions with fewer than two rows.
+    Rows without finite transmissibility and phase are left out, and so are functions with fewer than two rows.
     """
     ratio = numbers["transmissibility"] * np.exp(1j * numbers["phase"])
     order = np.arange(len(ratio))

@@ -76,7 +76,7 @@ class RunInfo:
     topics: tuple[TopicInfo, ...]  # in order of registration
     rate_hz: float | None  # scans per second of `daq/scan`, of the first rig if there are two; None without scans
     last_block_s: float  # duration of the newest block of scans [s], the longest of all rigs; 0 if unknown
-    rig_s: float | None  # rig time covered by the scans [s], the longest of all rigs; None without scans
+    rig_s: float | None  # rig time of scans and the gaps between them [s], longest of all rigs; None without scans
     scans: Contiguity | None  # numbers of blocks and scans, and gaps; None without scans, or if a rate is unknown
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, and more; empty for files of other recorders
     attachments: Mapping[str, int]  # size of each file stored inside the run [bytes], by name
@@ -84,7 +84,7 @@ class RunInfo:
     lost: Mapping[str, int]  # messages that never reached the recorder, by topic; topics without losses are left out
     accounted: bool  # whether the recorder kept an account of received and lost messages
     recovered: Recovered | None  # losses of a recovery; None for an original recording
-    intact: bool  # whether all checksums match, and no message is known to be missing
+    intact: bool  # whether no part is known to be damaged, changed or missing
     verdict: str  # one sentence about the integrity of the run
     checksums: structure.Checksums  # how many parts carry a checksum; all 0 if a part is damaged
     rigs: tuple[str, ...]  # namespaces of the recorded rigs, such as `/rig`
@@ -97,12 +97,12 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time from the first recorded scan to the end of the last [s]; `log_s` without scans."""
+        """Rig time covered by the scans and the gaps between them [s] (`rig_s`); `log_s` without scans."""
         return self.log_s if self.rig_s is None else self.rig_s
 
     @property
     def messages(self) -> int:
-        """Number of messages that could be read, on all topics."""
+        """Number of messages read, on all topics; reading ends at the first damage."""
         return sum(topic.count for topic in self.topics)
 
     @property
@@ -118,10 +118,10 @@ def info(path: Path | str) -> RunInfo:
         path: a run directory or an MCAP file.
 
     Returns:
-        The summary. `verdict` is one sentence about the run's integrity, and `intact` is true if all checksums match
-        and no message is missing. `start_ns` and `end_ns` are log times [ns], `rate_hz` is the scan rate, `topics`
-        lists the recorded topics, `scans` counts scans and gaps, and `lost` counts the messages that never reached the
-        recorder.
+        The summary. `verdict` is one sentence about the run's integrity, and `intact` is true if no part is known to be
+        damaged, changed or missing. Damage to a part without a checksum may remain unknown. `start_ns` and `end_ns` are
+        log times [ns], `rate_hz` is the scan rate, `topics` lists the recorded topics, `scans` counts scans and gaps,
+        and `lost` counts the messages that never reached the recorder.
 
     Raises:
         RecordingError: there is no recording, it is not finished, or its index is damaged. A damaged chunk does not
@@ -234,7 +234,7 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return the sum over all rigs of a recording of their blocks, scans and gaps; None if a scan rate is unknown.
+    """Return the sum over all rigs of a recording of their blocks, scans and gaps; None if a scan rate is not known.
 
     The blocks of several rigs alternate in a recording, so gaps are found for each rig separately.
     """
@@ -271,7 +271,7 @@ def _losses(lost: Mapping[str, int]) -> list[str]:
 
 
 def _absent_files(run: Run) -> list[str]:
-    """Return a clause for each missing file: `metadata.yaml`, and the next file if the last present one names it."""
+    """Return a clause for each missing file: `metadata.yaml` of a directory, and the next file if the last names it."""
     last = run.sources[-1]
     follows = [content.get("file", "") for name, content in last.metadata() if name == CONTINUES_RECORD_NAME]
     missing = [f"{last.path.name} is not the last file of its run: {follows[-1]} is missing"] if follows else []
@@ -365,7 +365,7 @@ class _RigScans:
 
     @property
     def span_s(self) -> float:
-        """Rig time covered by the scans [s].
+        """Rig time from the first scan to the end of the last [s], with the gaps between them.
 
         If stamps go back because the rig was restarted, the durations before and after that are added.
         """

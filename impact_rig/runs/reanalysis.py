@@ -120,6 +120,9 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     The list of labels is empty if the settings of two analyses alternate, because it is then unknown which of them
     made a label. Call this before the scans are analysed, because a label may have been recorded after the scan from
     which it applies.
+
+    Raises:
+        RecordingError: all recorded settings are invalid.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -271,7 +274,7 @@ _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 @attrs.frozen
 class Compared:
-    """Result of comparing one topic, or the reason why it was not compared."""
+    """Result of comparing one topic, and what of it was not compared and why: parts, or all."""
 
     topic: str
     count: int = 0  # number of rows or messages that were compared and agree
@@ -543,8 +546,8 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
     """Return the series of scans that the live analysis has not received, according to its rows, at least one.
 
-    These are the scans before its first row. After each row with the status `lost_blocks`, they are also the scans up
-    to the first scan of the next row.
+    These are the scans before those of its first row. After each row with the status `lost_blocks`, they are also the
+    scans before those of the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
@@ -613,8 +616,8 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
     """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal; it is
-    relative, but absolute for the columns `ABSOLUTE`.
+    With `exact`, every different bit counts. Otherwise floating-point numbers that agree within `TOLERANCE` count as
+    equal. It is relative; for the columns `ABSOLUTE`, this much absolute deviation is accepted as well.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

@@ -99,7 +99,7 @@ class DamagedFile:
     """MCAP file that may be truncated or damaged anywhere, opened for recovery; a context manager.
 
     Raises:
-        RecordingError: the file cannot be opened or read.
+        RecordingError: the file cannot be opened or read, is a bag in SQLite, or is compressed as a whole.
     """
 
     def __init__(self, path: Path) -> None:
@@ -433,10 +433,10 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
 
 
 def is_cut_short(run: Run) -> bool:
-    """Return whether a run was recovered from a recording that was never finished, so that its end may be incomplete.
+    """Return whether a run was recovered from a file without a usable index, so that its end may be incomplete.
 
-    A recorder may receive scans before messages of other topics that belong to the same time. If it was killed, those
-    messages may be missing at the end.
+    A killed recorder leaves such a file. It may have received scans before messages of other topics that belong to the
+    same time, so those messages may be missing at the end.
 
     Raises:
         DamageError: the record of the recovery is invalid.
@@ -448,8 +448,8 @@ def is_cut_short(run: Run) -> bool:
 def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False) -> RecoverReport:
     """Write the messages of every intact chunk of a damaged or unfinished run to the new run directory `out`.
 
-    If the recorder was killed while a chunk was open, the messages of this chunk are taken from its tail
-    (`*.mcap.tail`).
+    Attachments and metadata that match their checksums are written as well. If the recorder was killed while a chunk
+    was open, the messages of this chunk are taken from its tail (`*.mcap.tail`).
 
     Args:
         path: a run directory or an MCAP file; it is only read.
@@ -463,7 +463,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     Raises:
         RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be
             written.
-        ImpactRigError: the recording exceeds a limit of reading.
+        ImpactRigError: the recording exceeds a limit of reading. A chunk that does is left out as damaged instead.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)

@@ -144,7 +144,7 @@ MAX_DEPTH = 100  # libyaml's loader uses the stack for each level; a stack overf
 
 
 class PlainYamlError(ValueError):
-    """Invalid YAML: a syntax error, too deep nesting, or a feature beyond plain YAML."""
+    """Invalid YAML: too long, a syntax error, too deep nesting, or a feature beyond plain YAML."""
 
 
 def load_yaml(text: str, limit: int) -> object:

@@ -49,7 +49,8 @@ class SignalReceived(KeyboardInterrupt):
 class Ending:
     """Handler of SIGINT and SIGTERM for a program; until `run` is called, a signal ends the program immediately.
 
-    During `run`, the first signal raises `SignalReceived` in the main thread, and further signals have no effect.
+    During `run`, the first signal raises `SignalReceived` in the main thread, again every second while the work goes
+    on, and ends the program after 15 s. Further signals have no effect.
 
     Args:
         name: name of the program, for the line printed when a signal arrives.
@@ -76,7 +77,8 @@ class Ending:
 
         Args:
             work: main function of the program.
-            interrupting: whether a signal raises `SignalReceived`; otherwise `work` must check `received` itself.
+            interrupting: whether a signal raises `SignalReceived`; otherwise `work` must check `received` itself, and
+                has no time limit.
         """
         signal.signal(signal.SIGALRM, self._remind)
         sys.unraisablehook = self._unraisable
@@ -161,8 +163,9 @@ class _Deferred:
 def defer_signals() -> Iterator[None]:
     """Delay the effect of SIGINT and SIGTERM to the end of a `with` block that closes files or ends processes.
 
-    If a signal arrived during the block, the end of the outermost such block raises `SignalReceived`. Outside the main
-    thread this does nothing, because Python handles signals in the main thread only.
+    If a signal arrived during the block, the end of the outermost such block raises `SignalReceived`. This delays only
+    what `Ending.run` raises. Outside the main thread this does nothing, because Python handles signals in the main
+    thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -89,6 +89,8 @@ class Watch:
 def invalidate_abandoned_segments(directory: Path, before: set[tuple[str, int]]) -> set[tuple[str, int]]:
     """Mark each shared-memory segment as corrupt that is half created now, as it was at the last check already.
 
+    Only ports of this user are checked, because other processes wait for these.
+
     Args:
         directory: directory of the segments.
         before: result of the last check, `POLL_S` or more ago; an empty set at the first check.

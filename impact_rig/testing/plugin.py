@@ -190,7 +190,8 @@ def _reset_or_start(
     """Return a rig that later tests of the scope can use again.
 
     If an earlier test of the scope has started a rig with the same arguments, it is that rig, reset to its first
-    configuration. Otherwise it is a new one. A rig in this process starts in milliseconds and is always new.
+    configuration. Otherwise, or if that fails, it is a new one. A rig in this process starts in milliseconds and is
+    always new.
 
     Raises:
         pytest.UsageError: the scope is neither `module` nor `session`.

@@ -137,7 +137,7 @@ class _Ready:
 
 @attrs.define
 class _Latched:
-    """Last messages of a latched topic, which reliable subscriptions receive that are created later.
+    """Last messages of a latched topic, which reliable, latched subscriptions receive that are created later.
 
     Best-effort subscriptions receive none of them, as with Fast DDS.
     """
@@ -190,6 +190,7 @@ class LocalRigWithNodes(LocalRig):
 
         Raises:
             ConfigError: a timer of the node does not follow its clock.
+            BlockedError: the creation of the node waits or does not return.
         """
         if self._context is None:
             domain_id = self._stack.enter_context(isolated_domain())
@@ -236,7 +237,7 @@ class LocalRigWithNodes(LocalRig):
     # RigDriver
 
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance rig time by whole blocks; after each, run the callbacks of hosted nodes that are due.
+        """Advance rig time by whole blocks; before and after each, run the callbacks of hosted nodes that are due.
 
         An exception of a callback ends the call; a callback that does not return raises `BlockedError`.
         """
@@ -413,7 +414,7 @@ class LocalRigWithNodes(LocalRig):
     def _find_entities(self) -> None:
         """Find subscriptions that hosted nodes have created or destroyed, and reject timers that run by wall time.
 
-        New subscriptions receive the latched messages of their topics.
+        New subscriptions that are reliable and latched receive the latched messages of their topics.
 
         Raises:
             ConfigError: a timer does not follow the node's clock.
