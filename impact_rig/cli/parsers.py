@@ -61,7 +61,7 @@ def add_record(commands: Commands) -> None:
         type=CURRENT,
         metavar="A",
         help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged); if given for a running "
-        "rig, it is set to 0 at the end",
+        "rig, it is set to 0 at the end of a run of full length, but not if the run ends early",
     )
     parser.add_argument(
         "--seconds",
@@ -125,7 +125,7 @@ class Analysis(NamedTuple):
 
 
 def analyses() -> Iterator[Analysis]:
-    """Return the analyses that installed packages add to `impact-rig analyze`, each with an option of its own."""
+    """Return the analyses that packages, also this one, add to `impact-rig analyze`, each with an option of its own."""
     return (one.load() for one in metadata.entry_points(group=GROUP))
 
 
@@ -246,8 +246,9 @@ def add_replay(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="NODE",
-        help="nodes that acknowledge each block; the replay runs at most 16 blocks ahead of the slowest, so that they "
-        "lose none, and fails if one acknowledges nothing for 10 s; required by --rate max",
+        help="nodes that acknowledge each block; the replay waits until all of them subscribe, and runs at most 16 blocks "
+        "ahead of the slowest, so that they lose none. It fails if one acknowledges no outstanding block for 10 s; "
+        "required by --rate max",
     )
     parser.add_argument(
         "--topics",

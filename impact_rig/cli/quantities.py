@@ -135,10 +135,12 @@ def add_field(
 ) -> None:
     """Add an option that sets a field of a configuration or plan; default, unit, range and help come from the field.
 
+    The parser does not check the range of an integer; the configuration or plan does.
+
     Args:
         parser: parser of a command.
         field: the field, made by `config.fields`.
-        metavar: placeholder of its value; None if it is one of several words.
+        metavar: placeholder of its value in the help; None lets argparse list the words of a choice.
         option: name of the option, with its dashes (default: that of the field).
     """
     about = fields.info(field)

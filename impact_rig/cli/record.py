@@ -50,6 +50,10 @@ def run_record(arguments: argparse.Namespace) -> int:
     """Run `impact-rig record`: record a run, and print its DT (displacement transmissibility) and its directory.
 
     Return exit code 1 if the run ended early or DT was not measured, else 0.
+
+    Raises:
+        KeyboardInterrupt: the run was interrupted; what it measured so far was printed.
+        ImpactRigError: the options are invalid, or the run ended before anything was recorded.
     """
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
@@ -92,8 +96,8 @@ def _config(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     keeps its configuration, and a frequency or current that is not given. The returned values then have no meaning.
 
     Raises:
-        ConfigError: an option does not apply to a running rig, or the drive of the configuration is not a sine of
-            current.
+        ConfigError: the file or an option is invalid, an option does not apply to a running rig, or the drive of the
+            configuration is not a sine of current.
         CommandError: frequency or current is outside the limits of the rig to start.
     """
     if arguments.through == RUNNING:
@@ -147,7 +151,8 @@ class RunMeasurements:
 
     Attributes:
         everything: all rows of `transmissibility/table`.
-        rows: those of them that are settled, at the frequency and gap of the last settled one; empty if there is none.
+        rows: those of them that are settled and have an uncertainty of DT, at the frequency and gap of the last such
+            row; empty if there is none.
         budget: mean DT of `rows` with its uncertainty; None without rows.
     """
 

@@ -31,7 +31,7 @@ from impact_rig.simtime import NS_PER_S
 def run_info(arguments: argparse.Namespace) -> int:
     """Run `impact-rig info`: print the contents of a run, and whether it is complete.
 
-    Return exit code 1 if the run is damaged or incomplete, else 0.
+    Return exit code 1 if the run is damaged or known to be incomplete, else 0.
 
     Raises:
         RecordingError: the run cannot be read; the exit code of the program is then 1, too.
@@ -92,10 +92,11 @@ def _info_content(found: RunInfo) -> dict[str, object]:
 def run_verify(arguments: argparse.Namespace) -> int:
     """Run `impact-rig verify`: simulate a run again from its journal, and print whether every bit is the same.
 
-    Return exit code 1 if a bit of a recorded topic of the rig differs or the run is not verifiable, else 0.
+    Return exit code 1 if a bit of a recorded topic of the rig differs, the recording was changed, or the run is not
+    verifiable, for the printed reason; else 0.
 
     Raises:
-        RecordingError: the run cannot be read or verified.
+        RecordingError: the run cannot be read, has no scans, or has several rigs of which none was chosen.
     """
     with open_run(arguments.path, arguments.rig) as run:
         from impact_rig.runs.verification import verify  # noqa: PLC0415

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 def rig_of(arguments: argparse.Namespace) -> tuple[RigConfig, float]:
     """Return the configuration of the rig that the options of `add_rig` describe, and its gap [m], 0 without a sphere.
 
+    With `--through running`, it is the default configuration, which says nothing about the running rig.
+
     Raises:
         ConfigError: the file or an option is invalid, or an option would change a running rig.
     """

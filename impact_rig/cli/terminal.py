@@ -141,7 +141,10 @@ class Steps:
         self._what, self._total, self._shown = what, total, -1
 
     def show(self, done: int, state: str) -> None:
-        """Print a line with the number of finished items and a state; of many items, only 50 to 100 get a line."""
+        """Print a line with the number of finished items and a state, if more are finished than at the last line.
+
+        Of many items, only 50 to 100 get a line.
+        """
         every = max(1, self._total // LINES)
         if done // every > self._shown // every or done == self._total > self._shown:
             self._shown = done
@@ -192,7 +195,7 @@ def tell_json(content: object) -> None:
 
 
 def tell_results(directory: Path, content: Mapping[str, object], *, as_json: bool) -> None:
-    """Print the directory of the results as the last line, or with `as_json` as a member of the results in JSON."""
+    """Print only the directory of the results, as the last line, or with `as_json` the results with it as JSON."""
     if as_json:
         tell_json({"directory": str(directory), **content})
     else:
