@@ -85,8 +85,8 @@ def encode(table: Table, frame_prefix: str = "") -> bytes:
         The message as little-endian CDR, the encoding that ROS 2 transmits.
 
     Raises:
-        CodecError: the rows are not one-dimensional, or a column's type, the stamp or the frame id cannot be
-            represented in a PointCloud2.
+        CodecError: the rows are not one-dimensional or have no columns, or the type or name of a column, the stamp or
+            the frame id cannot be represented in a PointCloud2.
 
     Examples:
         >>> import impact_rig
@@ -178,8 +178,8 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
     Every table that was not made in this process, received or read from a file, must pass this check. A column that an
     earlier version did not have is filled with its default, and a number of a narrower type is widened. Further columns
-    (of a later version, or the channels of a scan) follow after those of the topic. If nothing must be filled or
-    widened, the same table is returned.
+    (of a later version, or the channels of a scan) then follow after those of the topic. If nothing must be filled or
+    widened, the same table is returned, with its columns in their order.
 
     Args:
         table: the decoded table.
@@ -188,9 +188,9 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
             scan.
 
     Raises:
-        CodecError: a column without a default is missing, or a column has a type that cannot be widened to that of the
-            topic, or contains a value that the topic does not allow. The message names topic, column, value and the
-            allowed values.
+        CodecError: a column without a default or one of `needs` is missing, or a column has a type that cannot be
+            widened to that of the topic, or contains a value that the topic does not allow. The message names topic,
+            column, value and the allowed values.
     """
     plan = _plan(topic, table.rows.dtype, needs)
     rows = table.rows if plan.fits else _fitted(table.rows, plan)

@@ -255,9 +255,9 @@ class Drawn:
         return text.getvalue()
 
     def save(self, folder: Path, formats: Sequence[str] = names.FIGURE_FORMATS) -> None:
-        """Write the figure to a folder as one file `NAME.FORMAT` per format, and the numbers of `lines` as `NAME.csv`.
+        """Write the figure to an existing folder as one file `NAME.FORMAT` per format.
 
-        Existing files are replaced.
+        The numbers of `lines`, if there are any, are written as `NAME.csv`. Existing files are replaced.
         """
         for kind in formats:
             with files.atomic_write(folder / f"{self.name}.{kind}") as file:

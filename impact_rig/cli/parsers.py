@@ -246,9 +246,9 @@ def add_replay(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="NODE",
-        help="nodes that acknowledge each block; the replay waits until all of them subscribe, and runs at most 16 blocks "
-        "ahead of the slowest, so that they lose none. It fails if one acknowledges no outstanding block for 10 s; "
-        "required by --rate max",
+        help="nodes that acknowledge each block; the replay waits until all of them subscribe, and runs at most 16 "
+        "blocks ahead of the slowest, so that they lose none. It fails if one acknowledges no outstanding block for "
+        "10 s; required by --rate max",
     )
     parser.add_argument(
         "--topics",

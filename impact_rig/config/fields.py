@@ -288,9 +288,9 @@ def choice(
 ) -> Any:
     """Return the attrs field of a word out of `choices`; none of them may be a word that YAML reads as another type.
 
-    `switched` maps true and false to words of `choices`, for which these values are then accepted, and also `on` and
-    `off`, which YAML reads as true and false. `formerly` maps words of an earlier version, which recordings contain, to
-    their present names.
+    This requirement is not checked. `switched` maps true and false to words of `choices`, for which these values are
+    then accepted, and also `on` and `off`, which YAML reads as true and false. `formerly` maps words of an earlier
+    version, which recordings contain, to their present names.
     """
     meant: dict[tuple[type, object], str] = {(str, word): now for word, now in (formerly or {}).items()}
     for state, word in (switched or {}).items():

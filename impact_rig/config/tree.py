@@ -62,8 +62,8 @@ class Tree(Generic[Root]):
             overrides: values by dotted name (`section.key`) that replace those of the file.
 
         Raises:
-            ConfigError: the file cannot be read, is not plain YAML, or contains an unknown key or an invalid value; the
-                message names key, value, range and file.
+            ConfigError: the file cannot be read, is not plain YAML, contains an unknown key or an invalid value, or its
+                values contradict each other. The message names the file, and for an invalid value its key and range.
         """
         path = Path(path)
         try:
@@ -134,6 +134,8 @@ class Tree(Generic[Root]):
 def parameters_in(text: str) -> dict[str, object]:
     """Return the values in the text of a configuration file, by dotted name, as written there and unchecked.
 
+    The names do not contain the two outer keys of a ROS 2 parameter file. An empty text has no values.
+
     Raises:
         ConfigError: the text is not plain YAML (`budget.load_yaml`), or not a mapping of sections.
     """
@@ -145,7 +147,7 @@ def parameters_in(text: str) -> dict[str, object]:
 
 
 def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]:
-    """Return the values of nested mappings by their dotted names.
+    """Return the values of nested mappings by their dotted names; an empty inner mapping counts as a value.
 
     Args:
         tree: the outermost mapping.

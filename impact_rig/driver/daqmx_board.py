@@ -246,7 +246,7 @@ class DaqmxTask:
 class Board:
     """Board that offers one rig to clients of NI-DAQmx, with the tasks that they have created.
 
-    The methods that take a task are called while `changed` is held.
+    Hold `changed` while you call a method, except `close`.
 
     Args:
         config: configuration of the rig that is simulated here.
@@ -563,8 +563,8 @@ class Board:
             Values in the units of the channels, shape (channels, n), where n is `count` unless that is negative.
 
         Raises:
-            DaqmxError: the task has no inputs, cannot be started or has failed, or the samples do not arrive in time,
-                were overwritten, or will never arrive because a finite task has fewer left.
+            DaqmxError: the task has no inputs, cannot be started or has failed, `count` is above `most`, or the samples
+                do not arrive in time, were overwritten, or will never arrive because a finite task has fewer left.
         """
         if task.kind != "ai":
             raise DaqmxError(Code.READ_NO_INPUT_CHANS_IN_TASK, "the task has no input channels to read: add some first")
@@ -612,7 +612,8 @@ class Board:
     ) -> int:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
-        Before the start, samples are added to the buffer; if it is full, its oldest are dropped. While the task runs,
+        Before the start, samples are added to the buffer; if it is full, its oldest are dropped. They replace the
+        buffer of a task that has ended, unless it was stopped since. While the task runs,
         a buffer that the output repeats is overwritten in a circle, from where the last call ended. In a buffer that is
         not repeated, new samples follow those that are still to be played.
 
@@ -624,8 +625,8 @@ class Board:
             auto_start: whether to start the task if it is not running.
 
         Raises:
-            DaqmxError: the task has no output, cannot be started or has failed, a sample is out of range, or the buffer
-                had no space in time.
+            DaqmxError: the task has no output, cannot be started or has failed, a sample is out of range, the buffer
+                had no space in time, or `auto_start` is false for a task without a clock that is not running.
         """
         if task.kind != "ao":
             raise DaqmxError(

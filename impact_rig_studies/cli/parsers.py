@@ -175,7 +175,8 @@ def add_import(commands: Commands) -> None:
         type=FREQUENCY,
         metavar="HZ|SIGNAL",
         help="drive frequency, e.g. 9.1Hz, or the name of its signal. Default: the signal `frequency`, else the "
-        "frequency in the file name if the data do not contradict it, else the strongest one in the base's motion",
+        "frequency in the file name if the data do not contradict it, else the strongest one in the base's motion, "
+        "or without it in the first of current, laser and accelerometer",
     )
     parser.add_argument(
         "--gap",
@@ -189,7 +190,8 @@ def add_import(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="table of the drive commands, with the columns time [s] or stamp_ns, frequency [Hz] and, if known, "
-        "current [A] (default: one at each change of the frequency signal, or else one at the first scan)",
+        "current [A], used instead of --frequency (default: one at each change of the frequency signal, or else one at "
+        "the first scan)",
     )
     parser.add_argument(
         "--calibration",
@@ -561,7 +563,7 @@ def add_campaign(commands: Commands) -> None:
     parser.add_argument(
         "--scan-rate", type=int, metavar="HZ", help="scans per second (default: those of the rig defined in FILE)"
     )
-    parser.add_argument("--record", action="store_true", help="record every run as MCAP (with --through ros)")
+    parser.add_argument("--record", action="store_true", help="record every run as MCAP (only with --through ros)")
     parser.add_argument(
         "--check",
         action="store_true",
@@ -681,7 +683,10 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
         f"runs/{command}_NAME for a file NAME.yaml)",
     )
     parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of processes with --through process (default: one per core)"
+        "--workers",
+        type=int,
+        metavar="N",
+        help="number of processes, of effect only with --through process (default: one per core)",
     )
     add_json(parser)
 
