@@ -30,7 +30,7 @@ import functools
 import itertools
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any  # messages and values of parameters
 
@@ -56,6 +56,7 @@ from impact_rig.runs import recover
 from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Answer, Seen
+from impact_rig_lab.theory import KIND
 
 ANSWER_S = 30.0  # time limit of an answer: a busy machine answers late, and the control stays pending until then
 TOLD_S = 1.5  # time limit within which the diagnostics of the rig must show the effect of an action
@@ -114,18 +115,30 @@ class OwnedProcesses:
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
         self.processes, self.parameters = processes, parameters
+        self._starts: dict[str, Future[None]] = {}  # the last start of each node
         self._starter = ThreadPoolExecutor(1, thread_name_prefix="lab-starter")
         # the thread that starts nodes does not have the lower priority of later threads, so nodes do not have it either
         self._starter.submit(time.monotonic).result()
 
-    def start(self, node: str) -> None:
-        """Start the process of a node with its parameters, and wait until the process is created.
+    def start(self, node: str) -> Future[None]:
+        """Start or restart the process of a node with its parameters, without waiting for it.
+
+        If a start of this node is in progress, no further one is begun.
 
         Args:
             node: name of the node, such as "rig".
+
+        Returns:
+            Future that is done when the new process is created. The end of a previous one may take 20 s.
         """
-        program, parameters = PROGRAMS.get(node, node), self.parameters.get(node, {})
-        self._starter.submit(self.processes.start, program, parameters, name=node).result()
+        if node not in self._starts or self._starts[node].done():
+            self._starts[node] = self._starter.submit(self._start, node)
+        return self._starts[node]
+
+    def _start(self, node: str) -> None:
+        if node in self.processes.running:
+            self.processes.stop(node)
+        self.processes.start(PROGRAMS.get(node, node), self.parameters.get(node, {}), name=node)
 
     def close(self) -> None:
         """End the thread that starts nodes, so that no further node is started; running nodes continue."""
@@ -543,7 +556,9 @@ class Gateway:
     # Other nodes
 
     async def do_sweep(self, frequencies: tuple[float, ...], direction: str, hold: str, target: float) -> str:
-        """Start a stepped sine or a phase lock on the rig, with its present current, or 0.52 A if that is 0 or unknown.
+        """Start a stepped sine or a phase lock on the rig with its present amplitude.
+
+        A drive by current gets 0.52 A if its amplitude is 0 or unknown.
 
         If the node that runs it is absent, a lab that has started the rig starts this node first.
 
@@ -554,17 +569,23 @@ class Gateway:
             target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for the others.
 
         Raises:
-            Refused: the node is absent and cannot be started, or rejects the plan or the start.
+            Refused: the node is absent and cannot be started, or rejects the plan or the start; or the rig is at rest
+                and is not driven by a current.
         """
+        amplitude = (self.record.drive or {"current": 0.0})["current"]
+        if not amplitude and self.record.knobs.get(KIND, "current") != "current":
+            raise Refused(
+                f"{KIND} is {self.record.knobs[KIND]}, for which a sweep has no default amplitude: set the amplitude "
+                "first, then start the sweep"
+            )
         was_there = self.seen(SWEEPER).lives
         if not was_there:
-            self._start(SWEEPER)
+            await self._start(SWEEPER)
             await self.until(lambda: self.seen(SWEEPER).lives, f"the node {SWEEPER}", START_S)
-        current = (self.record.drive or {"current": 0.0})["current"]
         plan = {
             "frequencies_hz": list(frequencies),
             "direction": direction,
-            "current_a": current or 0.52,
+            "current_a": amplitude or 0.52,
             "hold": hold,
             **({"target": target} if hold in ("current", "base", "superior") else {}),
         }
@@ -641,7 +662,7 @@ class Gateway:
         own = self._own
         if own is None:
             raise Refused("this lab did not start the rig, so it cannot restart it: restart it where it was started")
-        ended = [name for name in own.processes.running if own.ended(name)]
+        ended = [name for name in list(own.processes.running) if own.ended(name)]
         if not ended:
             raise Refused(
                 "all processes of this lab are running, so there is none to restart; a reset brings the rig to rest"
@@ -649,17 +670,17 @@ class Gateway:
         if "rig" in ended:
             self.record.knobs, self.record.configuration = {}, ""
         for name in ended:
-            self._start(name)
+            await self._start(name)
         for name in ended:
             await self.until(lambda name=name: self.seen(name).lives, f"the node {name}", START_S)  # type: ignore[misc]
         knobs = await self.until(lambda: self.record.knobs, "rig/configuration", START_S)
         await self._label(knobs["barriers.gap_m"] if knobs["sphere.present"] else 0.0)
         return f"restarted: {', '.join(ended)}"
 
-    def _start(self, node: str) -> None:
+    async def _start(self, node: str) -> None:
         """Start or restart a node of this lab, and forget the last report of its previous process.
 
-        The function returns when the new process is created; until then it blocks the event loop.
+        The function returns when the new process is created. If the action is cancelled, the node is started anyway.
 
         Raises:
             Refused: this lab does not start nodes.
@@ -669,7 +690,5 @@ class Gateway:
                 f"the node {node} is not running, and this lab starts no nodes: start it in the rig's namespace (ros2 "
                 f"run impact_rig {node}_node --ros-args -r __ns:={self.client.node.get_namespace()})"
             )
-        if node in self._own.processes.running:
-            self._own.processes.stop(node)
+        await asyncio.shield(asyncio.wrap_future(self._own.start(node)))
         self.client.diagnostics.pop(node, None)
-        self._own.start(node)

@@ -92,7 +92,7 @@ class LiveSource(Source):
         try:
             if self._own is not None:
                 for node in self._own.parameters:
-                    self._own.start(node)
+                    self._own.start(node).result()
             lower_priority()
             asyncio.run(self._serve_rigs())
         except Exception as error:  # without its source the page must report the failure, not freeze
@@ -122,7 +122,6 @@ class LiveSource(Source):
         namespace = self._namespace
         while not self.end.is_set() and self._namespace == namespace:
             now = time.monotonic()
-            self.guard("requests", self._take_requests)
             if now >= look_at:
                 self.guard("pictures", self._poll)
                 look_at = now + self._until_next_look()
@@ -136,7 +135,8 @@ class LiveSource(Source):
             wait_s = max(0.0, min(look_at, state_at) - time.monotonic())
             wait_s = min(wait_s, TURN_S) if self.watchers else wait_s
             self.guard("/diagnostics", functools.partial(self._client.executor.spin_once, timeout_sec=wait_s))
-            await asyncio.sleep(0)  # lets every action check its condition
+            self.guard("requests", self._take_requests)
+            await asyncio.sleep(0)  # begins new actions at once, and lets every other one check its condition
 
     def _poll(self) -> None:
         """Process new messages of scans and motion, and subscribe to these topics only while a page is open.

@@ -45,8 +45,8 @@ from impact_rig.states import MEASURED
 from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import MOST_ROWS, RigView, came_before, guard, plain, scan_rate, start_ns
 from impact_rig_lab.scope import LONGEST_S, Scope
-from impact_rig_lab.state import KNOBS, Answer, Source
-from impact_rig_lab.theory import closed_form
+from impact_rig_lab.state import KNOBS, UNITS, Answer, Source
+from impact_rig_lab.theory import KIND, closed_form
 
 DRAWN = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
 RARE = (
@@ -413,8 +413,10 @@ class PlaybackSource(Source):
                 self.guard("marks", lambda: self.snapshot.put(impact_marks=self._runs[0].histogram()))
 
     def _refusals(self) -> dict[str, list[Any]]:
-        others = {name: found for run in self._runs[1:] for name, found in run.record.refused.items()}
-        return {**others, **super()._refusals()}
+        others = [
+            (f"{name} of the second run", one) for run in self._runs[1:] for name, one in run.record.refused.items()
+        ]
+        return {**super()._refusals(), **dict(others)}
 
     def _play(self, until_s: float) -> None:
         with self.record.lock:
@@ -565,7 +567,8 @@ class PlaybackSource(Source):
         elif run.record.stream is not None and run.record.stream["playing"]:
             found = "driven by a stream of samples"
         elif then.applied["current"]:
-            found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} A"
+            unit = UNITS.get(then.values[KIND], "")
+            found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} {unit}"
         else:
             found = "at rest"
         return f"{name}: {found}."

@@ -233,7 +233,9 @@ class PageSession:
             await self._socket.send_bytes(protocol.json_frame(FrameKind.STATE, 0, parts))
 
     def _picture(self, now: float) -> list[bytes]:
-        """Return the frames of the next picture, or none if nothing new is to be drawn.
+        """Return the frames of the next picture, or none if nothing new is to be drawn or the buffers are being filled.
+
+        A jump in a recorded run fills them for seconds, during which the server must pass on a STOP to a live rig.
 
         The last frame is the TRACE, which the page acknowledges when it has drawn the picture.
 
@@ -241,7 +243,10 @@ class PageSession:
             now: present time (`time.monotonic`), which decides whether a spectrum is due.
         """
         source, record, view = self._source, self._source.record, self._view
-        with record.lock:
+        with contextlib.ExitStack() as stack:
+            if not record.lock.acquire(blocking=False):
+                return []
+            stack.callback(record.lock.release)
             if record.epoch != self._epoch:
                 self._epoch, self._drawn_end, self._spectrum_end = record.epoch, -1.0, -1.0
                 self._seen = dict.fromkeys(self._seen, 0)

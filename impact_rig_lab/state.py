@@ -65,6 +65,7 @@ KNOBS = (
     "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
+UNITS = {"current": "A", "prescribed": "m", "voltage": "V"}  # unit of the drive's amplitude by `drive.kind`
 Answer = Callable[[bool, str], None]
 """Function that reports the result of a request to the page: whether it succeeded, and a text.
 
@@ -235,7 +236,7 @@ class Pace:
 def choices() -> dict[str, Any]:
     """Return the choices that the controls of the page offer: contact laws, starts of the sphere, faults, channels.
 
-    `faults` maps each kind of fault to the content of its input form.
+    `faults` maps each kind of fault to the content of its input form, `units` the kind of drive to its unit.
     """
     about = {name: info for name, info, _ in fields()}
     return {
@@ -243,6 +244,7 @@ def choices() -> dict[str, Any]:
         "start": list(about["sphere.start"].choices),
         "faults": {kind: _fault_form(kind) for kind in FAULT_KINDS},
         "channels": list(CHANNELS),
+        "units": UNITS,
     }
 
 

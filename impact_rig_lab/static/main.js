@@ -109,6 +109,7 @@ const SHOW = {
     spectrum.plot.redraw(false);
   },
   knobs: (values) => {
+    knobs.boxes.current.box.querySelector(".unit").textContent = now.choices?.units[values?.["drive.kind"]] ?? "A";
     knobs.show({
       gap: gapNow(), start: values?.["sphere.start"] ?? null, law: values?.["contact.law"] ?? null,
       restitution: values?.["contact.restitution"] ?? null,

@@ -17,7 +17,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import queue
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -27,9 +31,11 @@ from kits.browser import PATIENCE_S
 
 from impact_rig import topics
 from impact_rig.client import Client, Processes, isolated_domain
+from impact_rig.errors import ImpactRigError
 from impact_rig.nodes.session import EXPIRES_S
-from impact_rig_lab.gateway import KEPT, Gateway, OwnedProcesses
+from impact_rig_lab.gateway import KEPT, SWEEPER, Gateway, OwnedProcesses
 from impact_rig_lab.live import LiveSource
+from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import RigView
 from impact_rig_lab.state import DEAD_S, Seen
 
@@ -96,3 +102,69 @@ def test_a_stop_is_reported_as_done_whichever_of_two_rigs_answers_first(tmp_path
         for _ in range(6):
             assert asyncio.run(stop())
         client.wait_until(lambda: client.figures("rig").get("latched"), "the latch", PATIENCE_S)
+
+
+def answers_of(client: Client, gateway: Gateway, *requests: Request) -> Iterator[tuple[str, bool, str]]:
+    """Run requests of a page in one event loop, and yield their answers in the order of arrival."""
+    answers: queue.SimpleQueue[tuple[str, bool, str]] = queue.SimpleQueue()
+
+    async def talk() -> None:
+        for request in requests:
+            gateway.begin(request, lambda ok, text, do=request.do: answers.put((do, ok, text)))  # type: ignore[misc]
+        while gateway.is_busy:
+            client.executor.spin_once(timeout_sec=0.01)
+            await asyncio.sleep(0)
+
+    asyncio.run(talk())
+    while not answers.empty():
+        yield answers.get()
+
+
+class HungProcesses:
+    """Group with one process that ends only when another action has been answered, or after 10 s."""
+
+    def __init__(self) -> None:
+        self.running = {SWEEPER: SimpleNamespace(exit_code=None)}
+        self.answered = threading.Event()
+
+    def stop(self, node: str) -> None:
+        assert self.answered.wait(10.0), "the loop has waited for the end of the process"
+        del self.running[node]
+
+    def start(self, *_: object, name: str) -> None:
+        raise ImpactRigError(f"no program of {name} here")
+
+
+def test_other_actions_are_not_delayed_while_a_process_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node that does not end takes 17 s, during which STOP must be sent."""
+    processes = HungProcesses()
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, "rig", name="lab") as client,
+        contextlib.closing(OwnedProcesses(processes, {})) as own,
+    ):
+        gateway = Gateway(client, RigView(), own)
+        monkeypatch.setattr(gateway, "_gone", lambda _: "")
+
+        async def answer() -> str:
+            processes.answered.set()
+            return "answered"
+
+        monkeypatch.setitem(gateway._actions, "note", answer)
+        plan = {"frequencies": (9.0,), "direction": "up", "hold": "command", "target": 0.0}
+        answers = list(answers_of(client, gateway, Request(1, "sweep", plan), Request(2, "note", {})))
+        assert answers == [("note", True, "answered"), ("sweep", False, f"no program of {SWEEPER} here")]
+
+
+@pytest.mark.parametrize(("kind", "words"), [("current", "starts no nodes"), ("voltage", "set the amplitude first")])
+def test_a_sweep_has_a_default_amplitude_only_for_a_current(
+    monkeypatch: pytest.MonkeyPatch, kind: str, words: str
+) -> None:
+    with isolated_domain() as domain_id, Client(domain_id, "rig", name="lab") as client:
+        gateway = Gateway(client, RigView(), None)
+        gateway.record.knobs = {"drive.kind": kind}
+        monkeypatch.setattr(gateway, "_gone", lambda _: "")
+        plan = {"frequencies": (9.0,), "direction": "up", "hold": "command", "target": 0.0}
+        ((_, done, text),) = answers_of(client, gateway, Request(1, "sweep", plan))
+        assert not done
+        assert words in text

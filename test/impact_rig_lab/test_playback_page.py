@@ -334,6 +334,22 @@ def test_tables_without_a_column_do_not_affect_other_topics(
         wait_until(lambda: source.now_s == pytest.approx(12.0, abs=0.05), "the end")
 
 
+def test_invalid_messages_of_both_runs_are_shown(recorded: Messages, tmp_path: Path) -> None:
+    broken = edited(recorded, "shaker/applied", without("current"))
+    paths = [record(tmp_path / "one", broken), record(tmp_path / "two", [*broken, *broken[-1:]])]
+    with PlaybackSource(paths) as source:
+        wait_until(lambda: len(source.snapshot.get("refused") or {}) == 2, "the counts of both runs")
+        assert list(source.snapshot.get("refused")) == ["shaker/applied", "shaker/applied of the second run"]
+
+
+def test_a_recorded_drive_in_volts_is_shown_with_its_unit(tmp_path: Path) -> None:
+    found = messages(2, **{"drive.kind": "voltage"})
+    with PlaybackSource([record(tmp_path / "run", found)]) as source:
+        wait_until(lambda: (source.snapshot.get("playback") or {}).get("read") == 1.0, "the marks")
+        assert asked(source, "seek", value=1.0) == (True, "")
+        assert "9.1 Hz, 0.52 V" in source.snapshot.get("rig")["text"]
+
+
 def test_runs_without_rows_are_rejected_in_one_line(recorded: Messages, tmp_path: Path) -> None:
     none = edited(recorded, "daq/info", lambda rows: rows[:0])
     with pytest.raises(RecordingError, match="rate"):

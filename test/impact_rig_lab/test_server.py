@@ -35,6 +35,7 @@ from impact_rig.errors import ImpactRigError
 from impact_rig_lab import protocol
 from impact_rig_lab.protocol import FrameKind
 from impact_rig_lab.server import LOOPBACK, MOST_CONNECTIONS, MOST_UNDRAWN, POLICY, Server, kept_token
+from impact_rig_lab.state import choices
 
 TIMEOUT = aiohttp.ClientTimeout(30)
 
@@ -231,6 +232,33 @@ def test_the_current_state_is_sent_before_the_answer(server: Server, source: Fak
             return kinds
 
     assert loops.run(talk()) == [FrameKind.STATE, FrameKind.REPLY]
+
+
+def test_a_stop_is_passed_on_while_a_jump_fills_the_buffers_of_a_run(server: Server, source: FakeSource) -> None:
+    """All pages share a loop: one that waits for the scans of its run must not delay the STOP of the live page."""
+    source.scope.add(scans(0, 600), 0)
+    asked = threading.Event()
+    source.ask = lambda request, answer: asked.set()  # type: ignore[method-assign]
+
+    async def talk() -> bool:
+        async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
+            page = await connect(session, server)
+            await page.receive()
+            await page.send_str('{"id":5,"do":"stop"}')
+            return await asyncio.to_thread(asked.wait, 10.0)
+
+    with source.record.lock:
+        assert loops.run(talk())
+
+
+def test_a_drive_in_volts_is_shown_with_its_unit(
+    server: Server, source: FakeSource, open_page: Callable[..., Page]
+) -> None:
+    page = open_page(server.address)
+    shown = "document.querySelector('.knob:has(#knob-current) .unit').textContent"
+    for kind, unit in (("voltage", "V"), ("prescribed", "m"), ("current", "A")):
+        source.snapshot.put(choices=choices(), knobs={"drive.kind": kind})
+        page.wait(f"{shown} === '{unit}'", f"the unit {unit}")
 
 
 def test_open_pages_are_counted(server: Server, source: FakeSource) -> None:
