@@ -252,10 +252,10 @@ def misplaced(found: Amplitudes, u_relative: float, phase_rad: float, u_phase_ra
 def contradiction(found: Amplitudes, before: Amplitudes | None = None) -> Rejection | None:
     """Return a rejection if the accelerometer is dead or contradicts the laser; None if not, or if motion is too small.
 
-    A dead accelerometer (`accelerometer_unsound`) does not affect DT. If it shows another motion than the laser, either
-    of the two may be wrong. If the laser still has the amplitude that it had in `before`, an earlier row of the same
-    setting, the accelerometer is rejected (`accelerometer_unsound`). Otherwise, and without `before`, the laser is
-    (`implausible`).
+    A dead accelerometer, or one whose reading is not finite (`accelerometer_unsound`), does not affect DT. If it shows
+    another motion than the laser, either of the two may be wrong. If the laser still has the amplitude that it had in
+    `before`, an earlier row of the same setting, the accelerometer is rejected (`accelerometer_unsound`). Otherwise,
+    and without `before`, the laser is (`implausible`).
     """
     u, expected = found.u, found.size[LASER]
     if not math.isfinite(found.size[ACCELEROMETER]):

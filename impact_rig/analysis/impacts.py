@@ -149,9 +149,9 @@ class ImpactDetector:
         self._history[:] = 0.0
 
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
-        """Use the accelerometer's lag and noise of another calibration from the scan with the index `scan` on.
+        """Use the accelerometer's lag and skew of another calibration from the scan with the index `scan` on.
 
-        The other calibration must have the same scan rate.
+        Its noise is used at each later `restart`. The other calibration must have the same scan rate.
         """
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
@@ -171,14 +171,14 @@ class ImpactDetector:
         return self.timed(self.find(acceleration))
 
     def timed(self, onsets: NDArray[np.void]) -> NDArray[np.void]:
-        """Return results of `find` with the sensor's lag subtracted from their scans: the instants of first touch."""
+        """Return results of `find` with scans less the sensor's lag and plus its skew: the instants of first touch."""
         impacts = onsets.copy()
         for impact in impacts:
             impact["scan"] -= self._sensors[self._sensor_at(impact["scan"])][1]
         return impacts
 
     def find(self, acceleration: Real) -> NDArray[np.void]:
-        """Process samples and return impacts like `feed`, but without subtracting the sensor's lag from their scans.
+        """Process samples and return impacts like `feed`, but without the correction of `timed` for the sensor's lag.
 
         Below `MIN_RATE_HZ` the result is always empty.
         """

@@ -106,7 +106,7 @@ def _limit(quarters: Complex) -> complex:
     """Return the limit of a decaying series of which `quarters` are four successive values, by Aitken's extrapolation.
 
     The factor q from one difference of neighbours to the next is a least-squares fit to the three differences, and at
-    most `SLOWEST_RATIO` in absolute value. If the differences are zero, the limit is the last value.
+    most `SLOWEST_RATIO` in absolute value. If the first two differences are zero, the limit is the last value.
     """
     steps = np.diff(quarters)
     power = float(np.sum(np.abs(steps[:-1]) ** 2))
@@ -256,10 +256,10 @@ class Judge:
         return self._given(self._held)
 
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
-        """Return a measurement of all cycles of a record that ends before its first row; None if a row was given.
+        """Return a measurement of the kept cycles of a record that ends before its first row; None if a row was given.
 
-        `rest` are the complete cycles after the last window. The status of a measurement with numbers is `not_settled`,
-        because the remaining transient is unknown.
+        Kept are at most the newest `long_windows` windows. `rest` are the complete cycles after them. The status of a
+        measurement with numbers is `not_settled`, because the remaining transient is unknown.
         """
         if self._reported:
             return None

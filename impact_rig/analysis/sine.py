@@ -77,7 +77,8 @@ def fit_sine(y: Real, rate_hz: float, frequency_hz: float, harmonics: int = 1) -
     """Fit an offset and the harmonics of a known frequency to samples: three parameters for harmonics = 1.
 
     `y` has shape (n,); `harmonics` counts the fundamental. If y cannot be fitted, the status of the result is the
-    reason: `too_few_cycles`, `not_finite`, `constant`, or `no_frequency` if a harmonic is not between 0 and rate / 2.
+    reason: `too_few_cycles` (also of samples), `not_finite`, `constant`, or `no_frequency` if a harmonic is not between
+    0 and rate / 2.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:

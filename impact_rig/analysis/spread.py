@@ -53,9 +53,9 @@ def variance_of_mean(values: Real) -> float:
 def student_factor(n: int) -> float:
     """Return the factor ν/(ν − 2) by which to multiply a variance that `variance_of_mean` estimated from n values.
 
-    The estimate has ν = 3n / (2(L + 1)) degrees of freedom, L its longest lag, but at least 3. The mean
-    therefore has Student's t distribution, whose variance is larger than that of the normal distribution by this factor
-    (GUM Supplement 1, 6.4.9).
+    The estimate has ν = 3n / (2(L + 1)) degrees of freedom, but at least 3, with its longest lag L. The mean therefore
+    has Student's t distribution, whose variance is larger than that of the normal distribution by this factor (GUM
+    Supplement 1, 6.4.9).
     """
     freedom = max(1.5 * n / (_longest_lag(n) + 1.0), 3.0)
     return freedom / (freedom - 2.0)
@@ -78,12 +78,12 @@ def student_2u(freedom: float) -> float:
 def batch_variance(values: Complex, batches: int) -> Real:
     """Return the variances of the mean of a series (real, imaginary part), estimated from the means of its batches.
 
-    A batch is one of `batches` parts of the series of equal length. Batches much longer than the correlation are
-    practically independent, however the correlation decays (Schmeiser 1982, Operations Research 30, 556–568). Shorter
-    ones give a variance V_b from b batches that is too small; the error is proportional to b. V_2b is the variance from
-    twice as many batches. 2V_b − V_2b is free of the error (Vats & Flegal 2022, Biometrika 109, 735–750). The larger of
-    V_b and 2V_b − V_2b is used; it is V_b if n < 2b. The square of `student_2u` accounts for the small number of
-    batches. The values have shape (n,), n >= batches >= 2; the result has shape (2,).
+    A batch is one of `batches` parts of equal length; the oldest values that fill none are left out. Batches much
+    longer than the correlation are practically independent, however the correlation decays (Schmeiser 1982, Operations
+    Research 30, 556–568). Shorter ones give a variance V_b from b batches that is too small; the error is proportional
+    to b. V_2b is the variance from twice as many batches. 2V_b − V_2b is free of the error (Vats & Flegal 2022,
+    Biometrika 109, 735–750). The larger of V_b and 2V_b − V_2b is used; it is V_b if n < 2b. The square of `student_2u`
+    accounts for the small number of batches. The values have shape (n,), n >= batches >= 2; the result has shape (2,).
     """
     coarse = _scatter_of_batches(values, batches)
     fine = _scatter_of_batches(values, 2 * batches) if len(values) >= 2 * batches else coarse
