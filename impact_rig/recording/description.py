@@ -110,7 +110,7 @@ class TopicDescription:
     schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the offered QoS profiles for `metadata.yaml`; empty if `offered_qos_text` is not a plain YAML list."""
+        """Return the known policies of the offered QoS profiles; empty if `offered_qos_text` is no plain YAML list."""
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:

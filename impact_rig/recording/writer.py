@@ -100,9 +100,9 @@ class RunWriter:
         clock: function that returns a monotonic time [s]. A chunk that has been open for `CHUNK_OPEN_S` is closed.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: uncompressed size above which a chunk is closed [bytes].
-        max_file_bytes: size beyond which a new file is started [bytes]; 0 means one file.
+        max_file_bytes: size beyond which a new file is started [bytes]; 0 means no limit.
         max_file_duration_ns: log time since the first message of a file after which a new one is started [ns]; 0 means
-            one file.
+            no limit.
         tail: whether to keep the messages of the open chunk in a second file (`Tail`); without it, `secure` has no
             effect.
         ros_distro: name of the distribution for `metadata.yaml`.

@@ -49,7 +49,7 @@ MOST_SCANS = 20_000_000  # maximum number of scans of a record; they need 740 MB
 
 @attrs.frozen(eq=False)
 class Excerpt:
-    """Contiguous scans of a run that are drawn or measured as one record, with the drive and the impacts in them."""
+    """Contiguous scans of a run that are drawn or measured as one record, with drive frequency and detected impacts."""
 
     rows: NDArray[np.void]  # scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,)
     rate_hz: float  # scans per second
@@ -75,8 +75,8 @@ class Excerpt:
 def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
     """Return the scans of the last settled measurement of a run; without a settled one, those at the end of the run.
 
-    The latter last for `UNSETTLED_S`, `UNSETTLED_CYCLES` or `UNSETTLED_SCANS`, whichever is longest. `found` are the
-    findings of the analysis, one for each block of scans (`reanalysis.analyze`).
+    The latter last for `UNSETTLED_S`, `UNSETTLED_CYCLES` or `UNSETTLED_SCANS`, whichever is longest; less if scans are
+    missing before them. `found` are the findings of the analysis, one for each block of scans (`reanalysis.analyze`).
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_DRAWN` contiguous scans there.
@@ -116,7 +116,9 @@ def last_excerpt(run: Run, found: Sequence[Findings]) -> Excerpt:
 
 
 def last_record(run: Run) -> Excerpt:
-    """Return the last contiguous scans of a run, at most about `MOST_SCANS`; the drive may change within them.
+    """Return the last contiguous scans of a run, at most about `MOST_SCANS`, without drive frequency and impacts.
+
+    The drive may change within them.
 
     Raises:
         RecordingError: the run has no calibration, or fewer than `FEWEST_SCANS` contiguous scans at its end.
@@ -145,7 +147,7 @@ def calibration_rows(run: Run) -> NDArray[np.void]:
 
 
 def _newest_scans(run: Run, last: int, span_s: float, rate_hz: float) -> tuple[int, int, NDArray[np.void]]:
-    """Return the newest contiguous scans up to the end of block number `last`: about `span_s` seconds, or fewer.
+    """Return the newest contiguous scans up to the end of block `last` (from 0): about `span_s` seconds, or fewer.
 
     Returns:
         The number of the block from which times count: the first block of the run, or the first one after its stamps

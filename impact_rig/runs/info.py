@@ -112,7 +112,7 @@ class RunInfo:
 
 
 def info(path: Path | str) -> RunInfo:
-    """Read a complete run, and return its summary: contents, losses, checksums and a verdict.
+    """Read all of a finished run, and return its summary: contents, losses, checksums and a verdict.
 
     Args:
         path: a run directory or an MCAP file.

@@ -51,7 +51,7 @@ def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _
     """Analyse a recorded run as the live node does, and yield the findings of each block of scans.
 
     The last findings follow the last block: those that the analysis makes when the data end. The settings are the last
-    ones of the live analysis; without a live analysis in the run, the defaults.
+    ones of the live analysis; without a live analysis in the run, the defaults. `as_set_live` gives the gap labels.
 
     Args:
         run: an open run.
@@ -430,6 +430,7 @@ def lag_s(run: Run, block_s: float) -> float:
 
     Other messages may therefore be missing for this time at the end of a recording. The reason is that a rig may run
     ahead of its peers by `time.ack_window` blocks. The result is the duration of one block more, and at least `LAG_S`.
+    If the recorded configuration has no valid `time.ack_window`, `DEFAULT_AHEAD` is used.
 
     Args:
         run: an open run.

@@ -114,7 +114,10 @@ def golden(request: pytest.FixtureRequest) -> testing.Golden:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report."""
+    """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report.
+
+    Runs of an earlier failure of the test are deleted.
+    """
     report = yield
     rigs = item.stash.get(_RIGS, [])
     if rigs and report.when != "teardown" and report.failed and call.excinfo is not None:
