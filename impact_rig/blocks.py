@@ -45,9 +45,9 @@ class Column:
         doc: description, with the meaning of values that are not measurements, such as NaN.
         kind: numpy type code.
         default: value for tables of an earlier version that lack the column; None if the column is required.
-        least: least value that is allowed; a column with a bound must not contain NaN.
+        least: least value that is allowed; a column with a bound or `whole` must not contain NaN.
         most: largest value that is allowed.
-        whole: whether the values are integers.
+        whole: whether only integers are allowed.
         is_part: whether a text of the column may be a piece of a longer text. A piece may begin or end within a
             character, so it need not be valid UTF-8.
     """

@@ -215,14 +215,14 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Register commands to the drive.
+        """Register commands to the drive; a changed one ends the measurement in progress, an equal one has no effect.
 
         Args:
             applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If the
                 scans from then on have been measured already, it applies to the next scan, and is counted as late.
 
         Raises:
-            ConfigError: the table is invalid, or its times are not numbers.
+            ConfigError: the table is invalid, or one of its times is not a number or is too large.
         """
         need_columns(applied, APPLIED, topics.APPLIED.name)
         if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
@@ -250,8 +250,8 @@ class Tracker:
         """Process the next block of scans; blocks must be passed in order.
 
         Blocks that arrive before the first calibration wait for it. Those that are older than `hold_s` by then are
-        dropped and counted. A repeated block is ignored. If blocks are missing, or the stamps go back, the measurement
-        in progress ends with a row that states this, and a new one begins.
+        dropped and counted. A repetition of the newest block is ignored. If blocks are missing, or the stamps go back,
+        the measurement in progress ends with a row that states this, and a new one begins.
 
         Args:
             scan: a table `daq/scan`.
@@ -335,8 +335,8 @@ class Tracker:
         A row that is delayed because a sphere may still strike is returned as well.
 
         Args:
-            take_unsettled: whether a record that ends before its first row gives one row of all its cycles, with the
-                status `not_settled`.
+            take_unsettled: whether a record that ends before its first row gives one row of its cycles, with the status
+                `not_settled` or, without numbers, with the reason.
 
         Returns:
             The last results. They contain impacts only of blocks that were still waiting for the calibration; all

@@ -159,7 +159,7 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @with_70_digits
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None if two of them are too close together to separate.
+    """Return the roots of a real polynomial, or None if some of them are too close together to separate.
 
     Real roots are listed first, in descending order, then one root of each conjugate pair (imaginary part > 0), in
     ascending order of the imaginary part.
@@ -185,8 +185,8 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
     """Return Aberth's step p / (p' − p Σ 1 / (z − other)) at z, which approximates one root of the polynomial.
 
-    The step is to be subtracted from z. It is None if z equals one of `others`, the approximations of the other roots,
-    or if the denominator is 0.
+    The step is to be subtracted from z. It is 0 at a root. Elsewhere it is None if z equals one of `others`, the
+    approximations of the other roots, or if the denominator is 0.
     """
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():

@@ -46,7 +46,7 @@ def run_analyze(arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze`: analyse a run like the live analysis node, or as an option such as `--frf` selects.
 
     Return the exit code: that of the selected analysis. Without such an option, it is 1 if the results differ from the
-    recorded ones of the live analysis, else 0.
+    recorded ones of the live analysis, else 0, also if there is nothing to compare.
     """
     console = Console(quiet=arguments.json)
     for name in ("segment", "window", "damping"):

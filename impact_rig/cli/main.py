@@ -65,7 +65,7 @@ def commands() -> dict[str, EntryPoint]:
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
-    """Return the parser of the program with all subcommands, or, to start faster, with `command` alone."""
+    """Return the parser of the program with all subcommands or, to start faster, with `command` alone if it is one."""
     import argparse  # noqa: PLC0415  # after the signals are taken
 
     import impact_rig  # noqa: PLC0415

@@ -616,8 +616,9 @@ class Rig:
     def pluck(self, displacement_m: float) -> None:
         """Lock the inferior base at zero and release the superior base from rest at a displacement: a free decay.
 
-        The release is at the frontier, and the drive amplitude becomes zero. The base stays locked, and commands and
-        samples are refused, until a reset. A further pluck is allowed, and releases the superior base again.
+        The release is at the frontier. The sphere then rests at `sphere.start`, and the drive amplitude becomes zero.
+        The base stays locked, and commands and samples are refused, until a reset. A further pluck is allowed, and
+        releases the superior base again.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
