@@ -87,7 +87,7 @@ class Planned:
     study: str
     job: Job
     axes: Mapping[str, Value]  # its values of axes other than frequency, gap and current, by dotted name
-    reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
+    reference: bool  # whether it has rig and current of the reference job, for which the paper's statements are judged
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -175,7 +175,7 @@ def load_campaign(
 
     Raises:
         ConfigError: the file cannot be read or is wrong; the message names key, value, range and file.
-        BudgetError: the campaign has more than `budget.POINTS` points, including repetitions.
+        BudgetError: the campaign has more than `budget.POINTS` points (`Study.points` of all studies).
     """
     file = Path(path)
 
@@ -239,7 +239,7 @@ def _vary(where: str, given: Mapping[str, object]) -> dict[str, tuple[Value, ...
     for name, values in flatten(axes.mapping(f"{where}.vary", given.get("vary"))).items():
         key = f"{where}.vary.{name}"
         if name in OTHERWISE:
-            raise ConfigError(f"{key}: this value is varied by another key, use {where}.{OTHERWISE[name]}")
+            raise ConfigError(f"{key} must not be in `vary`, use {where}.{OTHERWISE[name]} instead")
         _refuse_owned(key, name)
         vary[name] = axes.scalars(key, values)
     return vary

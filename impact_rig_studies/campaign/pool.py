@@ -59,8 +59,8 @@ def in_parallel(
     """Run jobs in worker processes, and yield every job with its result, in the order of completion.
 
     With one worker or one job, everything runs in this process. An exception of `work` is raised here, and the other
-    jobs are cancelled. If the caller stops iterating (Ctrl-C), only the jobs in progress are lost. Workers end when
-    this process ends, even if it is killed.
+    jobs are cancelled. If the caller stops iterating (Ctrl-C), the workers are killed, and only results that were not
+    yielded are lost. Workers end when this process ends, even if it is killed.
 
     Args:
         work: function at module level that returns the result of a job; it and the jobs are sent to the workers.
@@ -188,7 +188,8 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
 
     The returned function waits without a time limit if the cluster has no workers. A worker with other code than this
     process is reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed;
-    then the returned function raises an ImpactRigError. It also raises one if no worker has the code of this process.
+    then the returned function raises an ImpactRigError. It also raises one if the scheduler cannot be reached, or no
+    worker has the code of this process.
 
     Raises:
         ConfigError: Dask is not installed.

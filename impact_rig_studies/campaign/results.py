@@ -47,7 +47,7 @@ class Point:
 
     study: str
     axes: Mapping[str, Value]  # values of the study's axes other than frequency, gap and current, by dotted name
-    reference: bool  # whether its rig is the reference rig, for which the paper's statements are judged
+    reference: bool  # whether it has the reference rig and current, after a reset: the paper's statements use it
     gap_m: float  # gap, or `NO_SPHERE`
     current_a: float
     frequency_hz: float
@@ -67,7 +67,7 @@ class Point:
 
     @property
     def dt(self) -> float:
-        """Transmissibility DT: mean of the point's measurements; NaN without one."""
+        """Transmissibility DT: mean of the point's measurements, settled or not; NaN without one."""
         return self._mean("transmissibility")
 
     @property
@@ -172,7 +172,8 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 class Curves:
     """Settled points of the reference rig by gap [m] and frequency [Hz]; one point for each gap and frequency.
 
-    If several studies contain the same gap and frequency, the point of the first one is kept.
+    Points of sweeps without a reset are left out. If several studies have a settled point with the same gap and
+    frequency, that of the first one is kept.
     """
 
     by_gap: Mapping[float, Mapping[float, Point]]
@@ -209,8 +210,9 @@ COLUMNS = (
 def table(points: Sequence[Point]) -> tuple[list[str], list[list[object]]]:
     """Return the points as a table: the names of the columns, and one row per point.
 
-    The columns are `COLUMNS`, and then one for each axis of any study. Missing measurements are NaN, and so is the gap
-    of points without the sphere. For an axis that a point's study does not have, the value is an empty text.
+    The columns are `COLUMNS`, and then one for each further axis of the points' studies. Missing measurements are NaN,
+    and so is the gap of points without the sphere. For an axis that a point's study does not have, the value is an
+    empty text.
     """
     axes = list(dict.fromkeys(name for point in points for name in point.axes))
     rows: list[list[object]] = [

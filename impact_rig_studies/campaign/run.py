@@ -85,7 +85,7 @@ class Finished:
     def reductions(self) -> Reductions:
         """Return the reductions of DT at 9.1 Hz for those of the paper's gaps with a settled point.
 
-        There are none if the point without the sphere at 9.1 Hz has no settled measurement.
+        There are none if the point without the sphere at 9.1 Hz is missing or not settled.
         """
         curves = self.curves
         found = {gap: curves.at(gap, FREQUENCY_HZ) for gap in (NO_SPHERE, *REDUCTION_PERCENT)}
@@ -124,7 +124,7 @@ class Finished:
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
-        """Return the points without all their settled measurements (`Point.settled` is false)."""
+        """Return the points of jobs with a stored result that lack settled measurements (`Point.settled`)."""
         return [point for point in self.points if not point.settled]
 
 
@@ -139,6 +139,8 @@ def unique_jobs(planned: Sequence[Planned]) -> list[Job]:
 
 def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
     """Create the directory of a campaign with its descriptive files, and return the store of its results.
+
+    In a directory with results of the same rig, the descriptive files are replaced and the results kept.
 
     Args:
         campaign: campaign to measure.
@@ -181,7 +183,7 @@ def open_finished(directory: str | Path) -> Finished:
     """Read the campaign in a directory, with its stored results.
 
     Raises:
-        ConfigError: `directory` is not the directory of a campaign, or its campaign file is invalid.
+        ConfigError: `directory` is not the directory of a campaign, or its campaign file or configuration is invalid.
         DamagedPointError: a stored result is damaged.
     """
     directory = Path(directory)

@@ -86,7 +86,7 @@ Judgement = tuple[Statement, str]
 def judge(curves: Curves) -> list[Verdict]:
     """Judge each of the paper's seven statements on the settled points of the reference rig.
 
-    The result of a statement is None if a point that it needs is missing.
+    The result of a statement is None if a point that it needs is missing or not settled.
     """
     verdicts = []
     for name, kind, unit, text, judge_one in _STATEMENTS:
@@ -268,7 +268,7 @@ class Variation:
 
 
 def variations(points: Sequence[Point]) -> list[Variation]:
-    """Judge the statements for every rig among a campaign's points, the reference rig first.
+    """Judge the statements for every rig among a campaign's points; the reference rig, if judged, is first.
 
     Rigs for which no statement can be judged are left out; if fewer than two are left, the list is empty. Only points
     that began with a reset of the rig, and have a current at which the reference rig was measured, are used.

@@ -78,12 +78,12 @@ class Store:
         """Return the stored outcome of a job, or None if the job must be measured.
 
         A job must be measured if it has no stored outcome, if the file is damaged (noted in `damaged`), if other code
-        measured it, or if it lacks a requested trace.
+        measured it, or if it has not failed and lacks a requested trace.
 
         Args:
             job: the job.
-            as_it_is: whether the outcome is only shown; it is then returned also if other code measured it or a trace
-                is missing.
+            as_it_is: whether the outcome is only shown; it is then returned also if other code measured it, or measured
+                it without the requested trace.
 
         Raises:
             DamagedPointError: the file is damaged, and `as_it_is` is true.
@@ -265,6 +265,7 @@ class _Checked:
 
         Raises:
             DamagedPointError: a column is missing, a word is unknown, or a value is neither a number in range nor null.
+                Columns of `_POSITIVE` must not be null in a measured row.
         """
         for name, words in _WORDS.items():
             if self.text(name) not in [word.value for word in words]:
@@ -294,7 +295,7 @@ def shortened(value: object) -> str:
 
 
 def _column(member: bytes) -> NDArray[np.generic]:
-    """Read one member of an NPZ file, which must be a one-dimensional array of real numbers.
+    """Read one member of an NPZ file, which must be a one-dimensional array of floating-point numbers.
 
     The length in the member's header is checked before the data are read.
 
@@ -313,7 +314,7 @@ def _column(member: bytes) -> NDArray[np.generic]:
     rest = len(member) - file.tell()
     if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
         raise ValueError(
-            f"an array must be one column of real numbers that fill its {rest} bytes of data, "
+            f"an array must be one column of floating-point numbers that fill its {rest} bytes of data, "
             f"got {dtype} of shape {shape}"
         )
     return np.frombuffer(member, dtype, offset=file.tell())

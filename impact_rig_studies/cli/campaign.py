@@ -39,7 +39,7 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     """Measure the missing jobs of a campaign file, write and print all results, and return the exit code.
 
     The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions differ from the
-    paper's by more than the limits; else 0.
+    paper's by more than the limits; else 0. Statements that cannot be judged do not count.
     """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}

@@ -83,7 +83,8 @@ def _job(arguments: argparse.Namespace) -> Job:
 def run_hold(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
 
-    The code is 0 if DT was measured at all frequencies with the amplitude within the tolerance; else 1.
+    The code is 1 if the test ended early, a frequency was not measured, or an amplitude is outside the tolerance, else
+    0.
     """
     unit = HELD_UNITS[arguments.what]
     try:
@@ -96,7 +97,10 @@ def run_hold(arguments: argparse.Namespace) -> int:
 
 
 def run_sweep(arguments: argparse.Namespace) -> int:
-    """Measure DT over the frequency at constant current; return the exit code: 1 if a frequency is missing, else 0."""
+    """Measure DT over the frequency at constant current, and return the exit code.
+
+    The code is 1 if the sweep ended early or a frequency was not measured, else 0.
+    """
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
 
@@ -104,7 +108,8 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
     """Run a sweep over the frequency, write and print its curve, and return the exit code.
 
-    The code is 0 if DT was measured at all frequencies, with a controlled amplitude within the tolerance; else 1.
+    The code is 1 if the sweep ended early, a frequency was not measured, or a controlled amplitude is outside the
+    tolerance; else 0.
     """
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:
@@ -202,7 +207,8 @@ def run_lock(arguments: argparse.Namespace) -> int:
 def run_backbone(arguments: argparse.Namespace) -> int:
     """Find the resonance at each of several currents, first rising, then falling; return the exit code.
 
-    The code is 1 if the test ended early; else 0.
+    The code is 1 if the test ended early, also because the phase does not lock at the first current. It is 0 if it does
+    not lock at later currents.
     """
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)

@@ -206,8 +206,8 @@ def _unsolved(plan: Plan, rows: list[Row]) -> int:
 def _summary(done: plans.FinishedStudy) -> dict[str, object]:
     """Return the key results of a study as data for JSON.
 
-    They are the shares of a basin, the number of rows that failed in a bifurcation, nothing for a section, else the
-    rows of `_special`.
+    They are the shares of a basin, the number of rows that failed in a bifurcation (if any), nothing for a section,
+    else the rows of `_special`.
     """
     plan, rows = done.plan, done.rows
     if plan.kind == plans.BASIN:

@@ -146,13 +146,13 @@ def _npy(column: object) -> bytes:
 @pytest.mark.parametrize(
     ("member", "words"),
     [
-        (_npy(np.ones(9)).replace(b"(9,)", b"(9999999999999,)")[:300], "must be one column of real numbers"),
-        (_npy(np.ones((3, 3))), "must be one column of real numbers"),
+        (_npy(np.ones(9)).replace(b"(9,)", b"(9999999999999,)")[:300], "must be one column of floating-point numbers"),
+        (_npy(np.ones((3, 3))), "must be one column of floating-point numbers"),
         (_npy(np.ones(0)), "column laser must have at least one value, and as many as time, got 0"),
         (_npy(np.ones(8)), "got 8"),
         (_npy(np.full(9, np.nan)), "column laser must be finite"),
         (_npy(np.full(9, 2.0)), "was changed after it was stored"),
-        (_npy(np.array(["a"] * 9)), "must be one column of real numbers"),
+        (_npy(np.array(["a"] * 9)), "must be one column of floating-point numbers"),
         (b"", "is not a valid stored trace"),
     ],
     ids=["1e13 elements", "reshaped", "empty", "shorter", "nan", "changed", "texts", "nothing"],
