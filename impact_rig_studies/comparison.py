@@ -149,6 +149,8 @@ def compare(
 ) -> Comparison:
     """Analyse a run, simulate the model with the run's measured drive, and analyse the model in the same way.
 
+    The newest settled measurement at each gap and frequency is compared.
+
     Args:
         run: an open run, recorded or imported.
         known: configuration of the model; None means the one stored in the run, or the default rig if there is none.
@@ -459,7 +461,8 @@ def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
 def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
     """Fit the constants of the rig to DT without the sphere, and to the sphere's reductions of DT at one frequency.
 
-    This is the frequency at which the most gaps were measured. Rows without a measured current are left out.
+    Of the frequencies measured without the sphere, this is the one with the most gaps. Rows without a measured current
+    are left out.
     """
     points = [
         Point(

@@ -219,7 +219,8 @@ def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 
     A fit over each cycle gives its amplitude and phase. Straight lines over the time are fitted to the logarithm of the
     amplitude, whose slope gives ζ, and to the phase, whose slope gives f_n. Both are weighted with the squared
-    amplitudes, and the uncertainties come from the scatter about the lines. The arguments are those of `DecayMethod`.
+    amplitudes. The uncertainties come from the scatter about the lines, that of f_n also from `u_clock`. The arguments
+    are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):

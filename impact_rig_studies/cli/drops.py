@@ -29,7 +29,7 @@ from impact_rig.recording import Run
 def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Print the drops noted in an open run and the coefficient of restitution from them; return the exit code.
 
-    The code is 1 if the coefficient has no finite uncertainty, because there are too few drops; else 0.
+    The code is 1 if the uncertainty of the coefficient is not finite; else 0.
     """
     from impact_rig.analysis.drawings import restitution_by_drop  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig_studies.drops import drops_of  # noqa: PLC0415  # as above

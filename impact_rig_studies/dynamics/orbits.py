@@ -165,7 +165,7 @@ def followed(
         f: the map z → f(z, p) whose fixed points are the orbits.
         start: an orbit on the branch.
         way: initial direction: 1.0 towards larger p, −1.0 towards smaller p.
-        limits: smallest and largest p; if the branch reaches one of them, its last orbit is computed exactly there.
+        limits: smallest and largest p; if the branch reaches one of them, its last orbit is searched for exactly there.
         longest: largest step along the branch in the space (z, p).
         points: maximum number of orbits, without `start`.
         born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn. It returns

@@ -141,7 +141,10 @@ class Plan:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of the rows of results, in which the parameter's name replaces `value`."""
+        """Names of the columns of the rows of results, in which the parameter's name replaces `value`.
+
+        It is `frequency_hz` for a study that varies no parameter.
+        """
         return tuple((self.over or FREQUENCY) if name == "value" else name for name in COLUMNS[self.kind])
 
 
@@ -150,7 +153,7 @@ Found = Sequence[tuple[StudyTask, Sequence[Row]]]
 
 @attrs.frozen(eq=False)
 class FinishedStudy:
-    """Dynamics study with the results that are stored of it, possibly not of all its tasks."""
+    """Dynamics study with the results that this code has stored of it, possibly not of all its tasks."""
 
     plan: Plan
     found: Found  # each task with its rows of results, empty for a task without stored results
@@ -232,27 +235,31 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
         kind: kind of study, one of `KINDS`.
 
     Raises:
-        ConfigError: the directory is not that of a dynamics study of this kind, or contains no results of it yet.
+        ConfigError: the directory is not that of a dynamics study of this kind, or contains no results of it from this
+            code yet.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
     done = finished(plan, directory)
     if not done.rows:
         raise ConfigError(
-            f"{directory} has no results of the study {kind} yet; run "
+            f"{directory} has no results of the study {kind} from this version of the code; run "
             f"impact-rig dynamics {kind} {kept.file} --output {directory}"
         )
     return done
 
 
 def finished(plan: Plan, directory: str | Path) -> FinishedStudy:
-    """Return a planned study with the results that its output directory already contains, possibly none."""
+    """Return a planned study with the results that its output directory already contains, possibly none.
+
+    Results of other code are left out.
+    """
     kept = store(directory)
     return FinishedStudy(plan, [(task, kept.get(task) or []) for task in plan.tasks])
 
 
 def kinds(directory: str | Path) -> list[str]:
-    """Return the kinds of dynamics study of which a directory contains results, in the order of `KINDS`.
+    """Return the kinds of dynamics study of which a directory contains results of this code, in the order of `KINDS`.
 
     Args:
         directory: output directory of `impact-rig dynamics`; its plan file may define several kinds.

@@ -130,7 +130,8 @@ def history(
             `channel` of a run.
         channel: default channel of a run; None means current.
         unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
-            states, or else `wanted`. It is an error for a run, whose values are in SI units.
+            states, or else `wanted`. It is an error for a run, whose values are in SI units; `wanted` is
+            not checked for it.
         scale: factor by which the values are multiplied.
         file_hz: number of samples per second of a file that states neither times nor a rate. It is an error for any
             other file, and for a run.
@@ -222,6 +223,8 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
 
 def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
     """Return the rate of listed times [1/s], which must be those of an even clock but for rounding and jitter.
+
+    The result is 0 if the last time is not after the first.
 
     Raises:
         ConfigError: a time is off the even grid from the first to the last by more than half a period plus the last
