@@ -417,15 +417,16 @@ def encode_joint_state(stamp_ns: int, *values: Sequence[float]) -> bytes:
 
 
 def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, Any]:
-    """Return the leading members of a serialised message of any type: path -> number, text, or tuple of numbers.
+    """Return the leading members of a serialised message: path -> number, text, or tuple of two or more numbers.
 
     Args:
-        data: the message.
+        data: a message of any type that starts with `std_msgs/Header`.
         members: path (a name for the result), primitive ROS type and count of each member, in the order of the message
             and without a gap from its first member on. A text must have the count 1.
 
     Raises:
-        CodecError: a member is neither a primitive number nor a text, or the message ends before it.
+        CodecError: as for `header_stamp_ns`, or a member is neither a primitive number nor a text, or the message
+            ends before it.
     """
     header_stamp_ns(data)  # rejects another byte order
     cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()

@@ -33,9 +33,10 @@ def did_you_mean(word: str, known: Iterable[str], question: str = ": did you mea
 
 
 class ImpactRigError(Exception):
-    """Base class of all errors that this package raises on purpose.
+    """Base class of all errors that this package reports to users.
 
-    The message names the value, what is allowed and what to do. It is one line, unless it quotes a log.
+    The message names the value, what is allowed and what to do. It is one line, unless it quotes a log. A wrong call in
+    code, such as an argument out of range, can also raise a plain `ValueError`.
 
     Examples:
         >>> import impact_rig
@@ -63,10 +64,10 @@ class ConfigError(ImpactRigError, ValueError):
 
 
 class CommandError(ImpactRigError, ValueError):
-    """A command was rejected; also a `ValueError`.
+    """A command was rejected, or the shaker tripped or stopped during a test; also a `ValueError`.
 
-    The message names the value and the allowed range, or the state of the rig that excludes the command. The shaker
-    keeps its last valid state.
+    The message names the value and the allowed range, or the state of the rig that excludes the command. After a
+    rejection the shaker keeps its last valid state.
 
     Examples:
         >>> import impact_rig
@@ -94,7 +95,7 @@ class CodecError(ImpactRigError, ValueError):
 
 
 class RecordingError(ImpactRigError, OSError):
-    """A run cannot be written or read; also an `OSError`.
+    """A run, or another file or directory of results, cannot be written or read; also an `OSError`.
 
     Data that were already on disk are not changed. The message names the file.
 
@@ -119,7 +120,8 @@ class GoneError(ImpactRigError, RuntimeError):
 class SimulationError(ImpactRigError, RuntimeError):
     """The simulation cannot continue; also a `RuntimeError`.
 
-    The cause is a defect of the model or its tolerances, never a user's command. Please report it.
+    In a rig, the cause is a defect of the model or its tolerances, never a user's command: please report it. In a study
+    or fit, the message can instead ask for another start, value or configuration.
     """
 
 

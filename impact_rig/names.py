@@ -81,8 +81,8 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 def quoted(value: object) -> str:
     """Return a value as text for an error message: in Python's notation, cut off after 200 characters.
 
-    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`. An integer from 10^30 on gives `a
-    number too large to represent`.
+    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`. An integer of magnitude 10^30 or more
+    gives `a number too large to represent`.
     """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return "a number too large to represent"
@@ -105,9 +105,9 @@ def file_name(text: str) -> str:
         text: any name.
 
     Returns:
-        One component of a path: 1 to 100 ASCII letters, digits and `._+=,-`, without a leading point. A name that
-        already has this form is returned unchanged. In any other, `_` replaces other characters, and a digest of `text`
-        is appended, so that different names stay different.
+        One component of a path: 1 to 100 ASCII letters, digits and `._+=,-`, without a leading point or hyphen. A
+        name that already has this form is returned unchanged. In any other, `_` replaces other characters, and a digest
+        of `text` is appended, so that different names stay different.
     """
     plain = re.sub(r"[^\w.+=,-]+", "_", text).lstrip(".-")
     if plain == text and 0 < len(text) <= LONGEST_FILE_NAME and text.isascii():
@@ -119,8 +119,9 @@ def file_name(text: str) -> str:
 def identifier(text: str) -> str:
     """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
 
-    If replacing each `_` by `-` makes the text an identifier, the result is that, so `a_b` and `a-b` give the same. Any
-    other text gets the prefix `n-` and a digest at its end, so that different texts stay different.
+    If replacing each `_` by `-` makes the text an identifier without a double or trailing `-`, the result is that, so
+    `a_b` and `a-b` give the same. Any other text gets the prefix `n-` and a digest at its end, so that different texts
+    stay different.
     """
     plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
     if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():

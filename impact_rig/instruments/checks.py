@@ -111,7 +111,7 @@ def check_known_input(
             are ignored.
         frequency_hz: frequency of the sine, > 0 and at most `shaker.frequency_max_hz`; choose a whole number of hertz,
             because one second is measured.
-        fraction: amplitude as a part of half the measuring range; any finite number, above 1 it exceeds the range.
+        fraction: amplitude as a part of half the measuring range; a finite number > 0, above 1 it exceeds the range.
 
     Returns:
         One check per channel, in scan order.

@@ -123,7 +123,8 @@ class Fault:
         """Return the fault that a line of text describes, such as `offset_step channel=laser start_s=2 value=1e-3`.
 
         Args:
-            line: kind, then `key=value` with the keys channel, start_s, duration_s, value, seed and rate_hz.
+            line: kind, then `key=value` with the keys channel, start_s, duration_s, value, seed and rate_hz. A missing
+                key has its default, and so has `rate_hz=0`.
             scan_rate_hz: scans per second of the rig. Times are rounded up to whole scans.
 
         Raises:

@@ -103,8 +103,8 @@ class Laser(Instrument):
     def message(self, reading: float, clipped: bool, noise: float) -> Mapping[str, object]:
         """Return the fields of a Range message for one reading of x_1 [m]: `range` is the distance, `distance_m` − x_1.
 
-        Out of range, `range` is −Inf if the superior base is too near and +Inf if it is too far (REP-117). `variance`
-        is `noise` squared.
+        If the reading is clipped or out of range, `range` is −Inf if the superior base is too near and +Inf if it is
+        too far (REP-117). `variance` is `noise` squared.
         """
         nearest, farthest = self.distance_m - self.half_range_m, self.distance_m + self.half_range_m
         distance = self.distance_m - reading

@@ -190,7 +190,8 @@ def is_cut_off(path: Path) -> bool:
 def library() -> ModuleType | None:
     """Return the library of kernels if it exists, can be loaded and was built from the present sources; otherwise None.
 
-    If the library exists but cannot be used, a line on stderr says why, and this process runs in another mode.
+    If the library exists but cannot be used, a line on stderr says why. This process then runs in another mode or, if
+    the environment variable requires the library, the import of this module fails.
     """
     spec = importlib.util.find_spec(f"{__name__}._library")
     if spec is None:

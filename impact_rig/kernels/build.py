@@ -147,8 +147,9 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
             otherwise new ones are written into it. Default: a temporary folder.
 
     Raises:
-        SystemExit: the machine is not supported, the C compiler is missing or fails, or the kernels cannot be
-            translated. Without the assembly of a release, the translation needs the pinned version of Numba.
+        SystemExit: the machine is not supported, the C compiler is missing or fails, the kernels cannot be translated,
+            or Python cannot load the new library. Without the assembly of a release, the translation needs the pinned
+            version of Numba.
     """
     began = time.monotonic()
     machine = machine or this_machine()
@@ -341,7 +342,7 @@ def _compile(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Run the command of this module: build the kernels in a folder, or copy those that are up to date to it."""
+    """Run the command of this module: build the kernels in a folder, or copy those of the package if up to date."""
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"
         "date files are kept, or copied to the folder."

@@ -151,7 +151,7 @@ static inline int32_t {symbol}({", ".join(parameters)})
 
 
 def _word(name: str) -> str:
-    """Return a name for C: with an underscore added if it is a keyword of C."""
+    """Return a name for C: with an underscore added if it is one of the keywords of C in `_TAKEN`."""
     return f"{name}_" if _TAKEN.fullmatch(name) else name
 
 

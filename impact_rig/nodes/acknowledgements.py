@@ -139,7 +139,7 @@ class AckWindow:
 
         Returns:
             False if the acknowledgement is invalid and ignored: the reader is neither a peer nor watched, or the stamp
-            is later than that of the newest published block.
+            is later than that of the newest published block, or no block was published yet.
         """
         reader = self._readers.get(name)
         if reader is None or self.newest_ns is None or stamp_ns > self.newest_ns:
@@ -160,7 +160,7 @@ class AckWindow:
         return self.window - self.outstanding()
 
     def outstanding(self) -> int:
-        """Return how many published blocks the slowest peer has not acknowledged; 0 without peers."""
+        """Return how many published blocks the slowest peer has not acknowledged; 0 without peers to wait for."""
         return max((self._owed(self._readers[name]) for name in self.peers), default=0)
 
     def behind(self) -> dict[str, int]:
@@ -192,7 +192,8 @@ class AckWindow:
         """Return the time from which the silence of a reader is measured [ns of the clock given to this window].
 
         It is the time at which the reader last acknowledged a further block. If it had then acknowledged every block,
-        it is the time at which the next block was published, once there is one.
+        it is the time at which the next block was published, once there is one. `forgive` and `excuse` set it to the
+        time of their call.
         """
         return self._readers[name].heard_ns
 
@@ -330,7 +331,8 @@ class Acknowledgements:
     Args:
         node: node that reads the scans and has created the publisher of `daq/ack`; acknowledgements carry its name.
         may_send: called before each acknowledgement; returns whether the node has secured the data that it
-            acknowledges. If it returns False, nothing is sent; the next acknowledgement covers these blocks, too.
+            acknowledges. If it returns False, nothing is sent, also not later; the acknowledgement of a later block
+            covers these blocks, too.
         catch_up: called by the timer in real time, before it acknowledges; processes the blocks that the node has
             received and queued.
     """

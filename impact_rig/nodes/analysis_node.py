@@ -134,7 +134,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         return self._newest.stamp_ns + round(last_s * NS_PER_S)
 
     def doing(self) -> NodeState:
-        """Return the state of the measurement; `no_scans` before the first block and after two seconds without one."""
+        """Return the state of the measurement; `no_scans` before the first block and 2 s (wall time) after the last."""
         words = states.AnalysisWord
         if self._tracker is None or self._newest is None:
             return NodeState(words.NO_SCANS, "no scans received yet")
@@ -164,7 +164,8 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
     def figures(self) -> dict[str, object]:
         """Return values for diagnostics: newest settled transmissibility, gap label, counters, progress of settling.
 
-        The transmissibility is NaN before a response has settled for the first time. An inactive node has no values.
+        The transmissibility is NaN until a response settles for the first time since the node started, and is kept when
+        the node is activated again. An inactive node has no values.
         """
         tracker = self._tracker
         if tracker is None:
