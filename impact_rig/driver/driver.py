@@ -214,7 +214,11 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def stream_level(self) -> StreamLevel:
-        """Return the last known state of the buffer that holds the samples of the drive."""
+        """Return the last known state of the buffer that holds the samples of the drive.
+
+        Raises:
+            CommandError: the drive is not a stream.
+        """
 
     @property
     @abc.abstractmethod
@@ -267,7 +271,7 @@ class RigDriver(abc.ABC):
         self._listeners.remove(listener)
 
     def close(self) -> None:
-        """End the rig and what belongs to it: recording, nodes and connections."""
+        """End the rig and its recording, nodes and connections; a rig that another program started goes on."""
         self.closed = True
         self._listeners.clear()
 

@@ -312,6 +312,8 @@ class RosRig(RigDriver):
         Raises:
             TimeoutError: the node did not subscribe, or has no publisher on `output`, in time.
             GoneError: its process ended; the message quotes the end of its log.
+            ImpactRigError: a process of this name is running.
+            OSError: the program is missing or cannot be started.
         """
         self.processes.start(name, parameters, name=name, command=command)
         return self.follow(name, output, timeout_s)
@@ -707,7 +709,10 @@ class RosRig(RigDriver):
         return directory
 
     def close(self) -> None:
-        """End all node processes and nodes, which finishes a recording, and remove temporary directories."""
+        """End all node processes and nodes that this object started, which finishes its recording.
+
+        Temporary directories are removed. A rig that another program started goes on.
+        """
         super().close()
         self._stack.close()
 

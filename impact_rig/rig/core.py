@@ -251,7 +251,10 @@ class Rig:
 
     @property
     def target_amplitude(self) -> float:
-        """Commanded drive amplitude, to which a ramp leads: peak (rms for random), in A, m or V by `drive.kind`."""
+        """Commanded drive amplitude, to which a ramp leads: peak (rms for random), in A, m or V by `drive.kind`.
+
+        It is 0 for a stream, whose samples set the amplitude.
+        """
         return float(self._generator.target_amplitude)
 
     @property
