@@ -847,7 +847,7 @@ class _OtherTopics:
         return count
 
     def _unlike(self, config: dict[str, object]) -> str:
-        """Return a clause that names the first value in which a recorded configuration differs from the journal.
+        """Return a clause with the first value in which a recorded configuration differs from one of the journal.
 
         Of all configurations of the journal, the one that differs in the fewest values counts.
         """
@@ -855,7 +855,8 @@ class _OtherTopics:
             return "the journal contains no configuration to compare it with"
         nearest = min(self._configurations, key=lambda one: sum(config[key] != one[key] for key in config))
         key = next(key for key in config if config[key] != nearest[key])
-        return f"{key} is {quoted(config[key])}, which it never was according to the journal"
+        similar = quoted(nearest[key])
+        return f"{key} is {quoted(config[key])}, but {similar} in the most similar configuration of the journal"
 
     def _compare_description(self) -> Compared:
         name = topics.ROBOT_DESCRIPTION.name

@@ -421,7 +421,7 @@ def test_an_altered_joint_state_and_configuration_are_named(recorded, tmp_path: 
     ]
     found = verdict(tmp_path / "configuration", other)
     assert found.identical is False
-    assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
+    assert "barriers.gap_m is 0.0021, but 0.002 in the most similar configuration of the journal" in found.reason
 
 
 def test_a_session_that_returned_to_its_first_configuration_is_no_difference(recorded, tmp_path: Path) -> None:
@@ -434,7 +434,7 @@ def test_a_session_that_returned_to_its_first_configuration_is_no_difference(rec
     later = next(place for place, (what, one) in enumerate(recorded) if what == name and one.text != own.text)
     found = verdict(tmp_path / "after", [*recorded[: later + 1], other, *recorded[later + 1 :]])
     assert found.identical is False
-    assert "barriers.gap_m is 0.0021, which it never was according to the journal" in found.reason
+    assert "barriers.gap_m is 0.0021, but 0.002 in the most similar configuration of the journal" in found.reason
 
 
 def test_an_invented_or_removed_result_of_the_rig_in_the_journal_is_found(recorded, tmp_path: Path) -> None:
