@@ -271,7 +271,7 @@ def add_replay(commands: Commands) -> None:
         type=_delay,
         default=1.0,
         metavar="S",
-        help="seconds to wait before the first message, so that subscribers find the topics (default: 1)",
+        help="seconds to wait once, before the first message, so that subscribers find the topics (default: 1)",
     )
 
 

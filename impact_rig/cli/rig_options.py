@@ -64,7 +64,7 @@ def refuse_for_running(arguments: argparse.Namespace, *names: str) -> None:
         if getattr(arguments, name) is not None:
             raise ConfigError(
                 f"--{name.replace('_', '-')} applies only to a rig that this command starts; a running rig keeps its "
-                "configuration: omit this option, or --through running"
+                "configuration: omit this option, or omit --through running to start a rig"
             )
 
 

@@ -155,7 +155,7 @@ def add_import(commands: Commands) -> None:
         metavar="NAME=SIGNAL",
         help="signal of the file to use as a channel (laser, base, accelerometer or current), with unit and "
         "sensitivity if the file has none: laser=ai0, laser='ai0 mm', laser='ai0 V, 500 mV/mm'. An empty signal, "
-        "as in laser=, leaves the channel out",
+        "as in laser=, leaves the channel out. Channels that are not named stay as in --mapping or guessed; repeatable",
     )
     parser.add_argument(
         "--scan-rate",
@@ -182,8 +182,8 @@ def add_import(commands: Commands) -> None:
         "--gap",
         type=GAP_LABEL,
         metavar="LENGTH|SIGNAL",
-        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal in m (default: the signal "
-        "`gap`, else from the file name, else unknown)",
+        help="gap with its unit, e.g. 6mm, none (no sphere), or the name of its signal, in m unless the file "
+        "states its unit (default: the signal `gap`, else from the file name, else unknown)",
     )
     parser.add_argument(
         "--commands",
@@ -378,7 +378,10 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         help=f"column of the file (default: its only one), or channel of the run (default: {channel})",
     )
     parser.add_argument(
-        "--unit", default="", metavar="UNIT", help="unit of a file's values (default: the unit in the file, else SI)"
+        "--unit",
+        default="",
+        metavar="UNIT",
+        help="unit of a file's values, not for a run (default: the unit in the file, else SI)",
     )
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
