@@ -167,14 +167,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _say_where(source: Any) -> None:
-    """Print the directory of the last recording of a live source, if there is one.
+    """Print the directory of the last recording of a live source, or that there is none.
 
-    `source` is None if the program has failed before it had a source.
+    `source` is None if the program has failed before it had a source; one that plays recorded runs has no directory.
     """
-    directory = getattr(source, "directory", None)
-    if directory is not None:
+    if hasattr(source, "directory"):
+        where = (
+            f"recorded: {source.directory}"
+            if source.directory
+            else "recorded: nothing, as far as the recorder has reported"
+        )
         with contextlib.suppress(OSError):
-            print(f"recorded: {directory}", flush=True)  # noqa: T201
+            print(where, flush=True)  # noqa: T201
 
 
 def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:

@@ -79,7 +79,7 @@ class RunPlayer:
     """Player of one recorded run: it passes the messages up to the shown time to its record, and reads the marks.
 
     The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run;
-    `offset_s` converts them for a second run.
+    `offset_s` is added to them for a second run.
 
     Args:
         path: a run directory or an MCAP file; one that cannot be opened, such as a truncated one, is first recovered

@@ -285,7 +285,7 @@ class Faults:
         self._rows: deque[tuple[int, int, bool, str]] = deque(maxlen=most)
 
     def add(self, table: Table) -> None:
-        """Add the beginnings and ends of instrument faults in a table of `truth/faults`."""
+        """Add the beginnings and ends of instrument faults in a table of `truth/faults` to this history."""
         for row in table.rows:
             kind, channel = text(row["kind"]), text(row["channel"])
             stamp = table.stamp_ns + round(float(row["time"]) * NS_PER_S)

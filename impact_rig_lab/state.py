@@ -381,7 +381,7 @@ class Source(abc.ABC):
 
     @abc.abstractmethod
     def _run(self) -> None:
-        """Run requests and update snapshot and record until `end` is set: body of the source's thread."""
+        """Run requests and update snapshot and record until the event `end` is set: body of the source's thread."""
 
     def ask(self, request: Request, answer: Answer) -> None:
         """Queue a request of a page for the thread of this source.

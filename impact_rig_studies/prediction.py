@@ -126,7 +126,7 @@ class Manifold:
 
     @property
     def rho(self) -> float:
-        """Loss parameter ρ = (2/π)(1 − e)(1 + μ)/(1 + e) of the impacts; 0 for elastic impacts."""
+        """Loss parameter ρ = (2/π)(1 − e)(1 + μ)/(1 + e) of the impacts; it tends to 0 as e approaches 1."""
         return 2.0 / math.pi * (1.0 - self.restitution) / (1.0 + self.restitution) * (1.0 + self.mass_ratio)
 
     @property
@@ -182,7 +182,10 @@ class Manifold:
         return found
 
     def stable(self, theta: Real) -> NDArray[np.bool_]:
-        """Return for each Θ whether small errors of the sphere's motion decay, with a given motion of the structure."""
+        """Return for each Θ (sphere's amplitude over half the gap) whether small errors of the sphere's motion decay.
+
+        The motion of the structure is taken as given, so the recoil of the impacts is neglected.
+        """
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
 
@@ -266,7 +269,8 @@ class HeldDrive:
         given = attrs.asdict(self, filter=lambda _, value: value is not None)
         if len(given) != 1:
             raise ConfigError(
-                f"exactly one of current_a, base_m and superior_m must be given, got {' and '.join(given) or 'none'}"
+                "exactly one amplitude must be held constant: current_a, base_m or superior_m, "
+                f"got {' and '.join(given) or 'none'}"
             )
         for name, value in given.items():
             if not (math.isfinite(value) and value > 0.0):

@@ -25,7 +25,7 @@ fi
 if ! "$python" -c 'import numba' 2>/dev/null; then
     fetched=$(mktemp -d)
     trap 'rm -rf "$fetched"' EXIT
-    echo 'building kernels: fetching what compiles them, 60 MB, removed afterwards'
+    echo 'building kernels: fetching Numba, which translates them for the C compiler: 60 MB, removed afterwards'
     pip --target "$fetched" --requirement "$here/kernels.txt"
     export PYTHONPATH="$fetched"
 fi

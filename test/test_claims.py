@@ -19,6 +19,7 @@ import functools
 import itertools
 import json
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -119,6 +120,11 @@ def supported_pythons() -> str:
         r'python: \["(3\.\d+)".*"(3\.\d+)"\]', (ROOT / ".github/workflows/ci.yaml").read_text(encoding="utf-8")
     )
     return f"Python {listed[0][0]} to {listed[0][1]}"
+
+
+def size_of_the_environment() -> str:
+    sizes = runpy.run_path(str(ROOT / "requirements" / "install.py"))["ON_DISK_MB"]
+    return f"up to {sizes['run'] + sizes['wheels']} MB of disk"
 
 
 def nodes() -> str:

@@ -89,7 +89,10 @@ def journal_with(number: int, **members: object) -> list[JournalEntry]:
         ({"kind": "clear_fault", "value": math.nan}, "number of a fault must be whole, got nan"),
         ({"kind": "fault"}, "of kind fault needs a fault"),
         ({"kind": "fault", "fault": {"kind": "dropout", "channel": "laser", "seed": "x"}}, "seed of a fault"),
-        ({"kind": "fault", "fault": {"kind": "stuck", "channel": "x"}}, "fault in the journal: stuck needs a channel"),
+        (
+            {"kind": "fault", "fault": {"kind": "stuck", "channel": "x"}},
+            "an invalid instrument fault: stuck needs a channel",
+        ),
         ({"kind": "pluck", "value": None}, "value of a journal entry must be float"),
         ({"more": 1}, "unknown member 'more'"),
     ],

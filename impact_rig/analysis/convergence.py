@@ -45,7 +45,8 @@ def settled_period(
         omega: angular frequency of the drive [rad/s].
         tolerance: limit of the relative change in the last period, and of the sum of all later changes, which are
             extrapolated as a geometric series.
-        repetition: rms deviation of x_1, relative to its mean, up to which its amplitude repeats.
+        repetition: rms deviation of x_1, relative to its mean, up to which its amplitude repeats. Repetition of it and
+            of the impacts is required in addition to `tolerance`.
         longest: longest period considered [cycles].
         scaled: scratch memory of the shape of `rows`.
     """

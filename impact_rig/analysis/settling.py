@@ -97,7 +97,7 @@ def more_windows(taken: int, reached: float, share: float) -> int:
         share: s, 0 < s < 1.
 
     Returns:
-        Number of windows; 0 if ε is not between 0 and 1.
+        Number of windows; 0, for no further wait, if ε is not between 0 and 1: it then tells no pace.
     """
     return math.ceil(taken * math.log(share) / math.log(reached)) if 0.0 < reached < 1.0 else 0
 

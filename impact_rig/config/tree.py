@@ -171,7 +171,7 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
         else:
             flat[name] = value
         if len(flat) > MAX_KEYS:
-            raise ConfigError(f"too many keys: at most {MAX_KEYS} are allowed in a configuration")
+            raise ConfigError(f"too many values: at most {MAX_KEYS} are allowed in a configuration")
     return flat
 
 

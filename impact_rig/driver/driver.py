@@ -117,11 +117,13 @@ class RigDriver(abc.ABC):
     Attributes:
         sample: number of the first scan of the next block.
         closed: whether `close` was called.
-        lead_s: rig time [s] that a sample needs to arrive: send it at least this long before the rig plays it.
+        lead_s: rig time [s] that a sample needs to arrive: send it at least this long before the rig plays it; 0 for a
+            rig that waits for its samples.
         runs_by_itself: whether rig time advances without `step`; `step` then waits for it.
         scenario: text of a program that repeats the actions on this rig; it is saved with the run of a failed test.
         turns: lock that a thread holds while it calls a rig that it shares with other threads.
-        fed: event that wakes a thread which waits for samples: another one has sent some, or ended the stream.
+        fed: event that wakes a thread which waits for samples: another one has sent some, has ended the stream, or has
+            advanced the rig.
     """
 
     lead_s = 0.0

@@ -247,7 +247,7 @@ class RosRig(RigDriver):
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Find out the stamp of scan 0 and, of a rig that runs by itself, the number of the next scan."""
+        """Read the stamp of scan 0 from `daq/info`; if the rig runs by itself, its newest block gives the next scan."""
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         if self.runs_by_itself:

@@ -119,7 +119,7 @@ class InstrumentSetup(Protocol):
 
     @property
     def daq(self) -> Daq:
-        """Section `daq`, for scan clock and seed."""
+        """Section `daq`, for the scan clock and the seed of noise and calibration errors."""
 
     @property
     def instruments(self) -> Instruments:
@@ -127,7 +127,7 @@ class InstrumentSetup(Protocol):
 
     @property
     def drive(self) -> Drive:
-        """Section `drive`, for the highest frequency of a chirp."""
+        """Section `drive`: the end frequency of a chirp limits the time steps in which the sensors are computed."""
 
     @property
     def shaker(self) -> Shaker:

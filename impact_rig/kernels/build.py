@@ -210,7 +210,7 @@ def write_assembly(keep: Path, folder: Path) -> None:
     """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
     There is one file for each part of the kernels and each machine of `RELEASED`; `folder` must not exist yet. `keep`
-    is the folder for the translated kernels, see `translated`.
+    is the folder of the translated kernels: those missing there are translated into it, see `translated`.
     """
     found = translated(keep)
     folder.mkdir()

@@ -324,8 +324,8 @@ class Publishers:
 def _may_overflow(config: RigConfig) -> bool:
     """Return whether the blocks that may be unacknowledged can contain more messages than a subscriber's queue holds.
 
-    The queue certainly holds `QUEUE` messages. The result is False in real time, where the rig does not wait for
-    acknowledgements.
+    If so, the rig waits for delivery after each `QUEUE` messages, which the queue certainly holds. The result is False
+    in real time, where the rig does not wait for acknowledgements.
     """
     if config.time.mode == "realtime":
         return False

@@ -544,9 +544,9 @@ def _sample_contact(
     query: Query,
     workspace: SamplingWorkspace,
 ) -> None:
-    """Fill `query.out` for the instants number start … stop − 1, all of which are in the contact from `history[row]`.
+    """Fill `query.out` for the instants number start … stop − 1, all in the part that begins at `history[row]`.
 
-    `history[row]` is the start of one integration step of a contact, or of a whole tabulated contact.
+    This part is one integration step of a contact, or a whole tabulated contact. `f` is the segment of the drive.
     """
     step, s = workspace.step[0], history[row]
     steps, first_row, end_row, solved_row = history, row, row + 1, -1

@@ -832,7 +832,7 @@ class McapSource:
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
             if chunk.uncompressed_size != segment.size:
-                raise DamageError("its decompressed size is not that in the index")  # noqa: TRY301  # worded below
+                raise DamageError("the decompressed size that it states is not that in the index")  # noqa: TRY301  # worded below
             return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"

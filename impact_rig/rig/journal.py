@@ -208,14 +208,16 @@ def _fault(content: Mapping[str, Any], sample: int) -> Fault:
     for name, value in content.items():
         if name not in _OF_FAULT:
             known = ", ".join(sorted(_OF_FAULT))
-            raise ConfigError(f"fault in the journal with unknown member {name!r}, known are {known}")
+            raise ConfigError(f"a fault in an entry of the journal has the unknown member {name!r}, known are {known}")
         allowed = (str,) if name in ("kind", "channel") else (int,) if name in ("samples", "seed") else (int, float)
         if type(value) not in allowed:
-            raise ConfigError(f"{name} of a fault in the journal must be {allowed[-1].__name__}, got {value!r}")
+            raise ConfigError(
+                f"{name} of a fault in an entry of the journal must be {allowed[-1].__name__}, got {value!r}"
+            )
     try:
         return Fault(**{"kind": ""} | dict(content), start_sample=sample)
     except (CommandError, OverflowError) as error:
-        raise ConfigError(f"fault in the journal: {error}") from error
+        raise ConfigError(f"an entry of the journal has an invalid instrument fault: {error}") from error
 
 
 def encode(entry: JournalEntry) -> bytes:

@@ -51,7 +51,7 @@ def analyze(run: Run, instead: Callable[[topics.Topic, Table], Table] = lambda _
     """Analyse a recorded run as the live node does, and yield the findings of each block of scans.
 
     The last findings follow the last block: those that the analysis makes when the data end. The settings are the last
-    ones of the live analysis; without a live analysis in the run, the defaults. `as_set_live` gives the gap labels.
+    ones of the live analysis; without a live analysis in the run, the defaults.
 
     Args:
         run: an open run.
@@ -120,9 +120,6 @@ def as_set_live(run: Run) -> tuple[TrackerSettings, list[GapLabel]]:
     The list of labels is empty if the settings of two analyses alternate, because it is then unknown which of them
     made a label. Call this before the scans are analysed, because a label may have been recorded after the scan from
     which it applies.
-
-    Raises:
-        RecordingError: all recorded settings are invalid.
     """
     if not run.holds(topics.ANALYSIS_SETTINGS):
         return TrackerSettings(), [label for label in map(parse_label, remarks(run)) if label is not None]
@@ -274,7 +271,7 @@ _TABLE = topics.TRANSMISSIBILITY_TABLE
 
 @attrs.frozen
 class Compared:
-    """Result of comparing one topic, and what of it was not compared and why: parts, or all."""
+    """Result of comparing one topic: what agrees, the first difference, and what was not compared, with the reason."""
 
     topic: str
     count: int = 0  # number of rows or messages that were compared and agree
@@ -430,7 +427,6 @@ def lag_s(run: Run, block_s: float) -> float:
 
     Other messages may therefore be missing for this time at the end of a recording. The reason is that a rig may run
     ahead of its peers by `time.ack_window` blocks. The result is the duration of one block more, and at least `LAG_S`.
-    If the recorded configuration has no valid `time.ack_window`, `DEFAULT_AHEAD` is used.
 
     Args:
         run: an open run.
@@ -547,8 +543,8 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
     """Return the series of scans that the live analysis has not received, according to its rows, at least one.
 
-    These are the scans before those of its first row. After each row with the status `lost_blocks`, they are also the
-    scans before those of the next row.
+    These are the scans before its first row. After each row with the status `lost_blocks`, they are also the scans up
+    to the first scan of the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]
@@ -617,8 +613,8 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
     """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, every different bit counts. Otherwise floating-point numbers that agree within `TOLERANCE` count as
-    equal. It is relative; for the columns `ABSOLUTE`, this much absolute deviation is accepted as well.
+    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal; it is
+    relative, but absolute for the columns `ABSOLUTE`.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

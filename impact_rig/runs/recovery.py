@@ -167,7 +167,7 @@ class DamagedFile:
         elif opcode in _CHECKS:
             _CHECKS[opcode](self.content(found))
         else:
-            raise DamageError(f"{opcode} is not the opcode of a record in an MCAP data section")
+            raise DamageError(f"no record of an MCAP data section begins with the byte {opcode}")
         return found
 
     def _next_record(self, start: int) -> int:

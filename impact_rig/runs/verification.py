@@ -122,10 +122,9 @@ def verify(run: Run) -> Verification:
         run: an open run.
 
     Returns:
-        The result. `identical` is true if every compared value is equal bit for bit, and None if the run cannot be
-        verified. It is false if a value differs, or the files were changed after the recording or contradict their
-        index. `reason` has the first difference, or says why the run cannot be verified. `scans` counts the scans that
-        agree, and `topics` has the result of each topic. `str` describes the result in one line.
+        The result. `identical` is true if every compared value is equal bit for bit, false if not, and None if the run
+        cannot be verified. `reason` has the first difference, or says why the run cannot be verified. `scans` counts
+        the scans that agree, and `topics` has the result of each topic. `str` describes the result in one line.
 
     Raises:
         RecordingError: the run has no topic `daq/scan`, has several rigs of which none was chosen, or is damaged.
@@ -325,8 +324,8 @@ def _verify(
 
     Returns:
         The result, and a block if a reset ends the journal: the first block of the re-simulation after the recorded
-        ones, for `_is_missing` to check. The block is None if no reset ends the journal, if an input of the block was
-        not recorded, or if the comparison ended with a difference.
+        ones, for `_is_missing` to check. The block is None if no reset ends the journal, or if the comparison ended
+        with a difference.
     """
     compared = 0
     try:
@@ -392,10 +391,10 @@ def _missing(block: Block, compared: int) -> Verification:
 
 
 def _difference(logged: Table, again: Table) -> str:
-    """Return the first difference between a recorded and a re-simulated table as text; empty if they are equal.
+    """Return the first difference between a recorded and a re-simulated table as text; empty if there is none.
 
-    They differ in stamp or number of rows, by a column missing in the recorded one, or in a value. If a value differs,
-    the text has the stamp, the row, the column and both values.
+    They differ in stamp or number of rows, in a value, or by a column that the recorded table lacks. Further columns of
+    the recorded table are not compared. If a value differs, the text has the stamp, row, column and both values.
     """
     if logged.stamp_ns != again.stamp_ns or len(logged.rows) != len(again.rows):
         return (

@@ -604,7 +604,8 @@ def _returning(message: str) -> Iterator[None]:
         idle = idle + 1 if used - before < IDLE_CPU_S else 0
         if idle * TICK_S >= IDLE_S:
             raise BlockedError(
-                f"{message} waits: {IDLE_S:g} s without computing, while no other callback of this executor can run"
+                f"{message} waits: {IDLE_S:g} s without computing, while no other callback can run in this test; do "
+                "not wait in a callback, process the result in the callback that receives it"
             )
         if time.monotonic() - begin > BUSY_S:
             raise BlockedError(f"{message} has not returned within {BUSY_S:g} s of wall time")

@@ -239,7 +239,10 @@ class Send:
 
 @attrs.frozen
 class Call:
-    """Call of a service of the nodes under test, after `after` further callbacks."""
+    """Call of a service of the nodes under test, with an empty request.
+
+    It is made after `after` further callbacks of all hosted nodes, counted from this action; 0 is at once.
+    """
 
     service: str
     after: int = 0

@@ -162,7 +162,7 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
     The text `none` and null (an empty value) become `NO_SPHERE`.
 
     Raises:
-        ConfigError: a gap is not > 0 and <= 1 m (at 0 both barriers would touch the sphere), or the list is invalid.
+        ConfigError: a gap is not > 0 and <= 1 m, or the list is invalid. At 0 m both barriers would touch the sphere.
     """
     return tuple(
         NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)

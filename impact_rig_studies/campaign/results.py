@@ -110,7 +110,7 @@ class Point:
 
     @property
     def status(self) -> str:
-        """`failure` of the point, or the status of its last measurement if there is no failure."""
+        """Why measurements are missing or did not settle (`failure`); if all settled, the status of the last one."""
         return self.failure or str(self.rows["status"][-1].decode())
 
     @property

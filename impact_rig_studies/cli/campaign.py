@@ -82,7 +82,10 @@ def run_campaign(arguments: argparse.Namespace) -> int:
 
 
 def _content(done: run.Finished) -> dict[str, object]:
-    """Return verdicts, failed points, and the deciding value of each statement on every rig, as data for JSON."""
+    """Return verdicts, failed points, and the deciding value of each statement on every rig, as data for JSON.
+
+    A point has failed if a measurement is missing or did not settle.
+    """
     return {
         "verdicts": [
             {"name": one.name, "statement": one.text, "verdict": one.word, "worth": one.kind.value, "found": one.detail}

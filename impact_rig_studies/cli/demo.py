@@ -122,7 +122,8 @@ def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]
             for job, outcome in done:
                 if outcome.failure:
                     raise ImpactRigError(
-                        f"{case_of(job.gap_m)}: {outcome.failure}: repeat the demo, into another directory"
+                        f"{case_of(job.gap_m)}: {outcome.failure}: remove the cause, then repeat the demo "
+                        "with another --output"
                     )
                 rows[job.gap_m] = outcome.rows
         screen.done()

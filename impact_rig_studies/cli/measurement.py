@@ -139,7 +139,7 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
 
 
 def _print_source(console: Console, source: ImportedSignals) -> None:
-    """Print the signals of a file without their channels, for a dry run in which the conversion failed."""
+    """Print the signals of a file, but not which channels they would become: the conversion of this dry run failed."""
     table = TextTable(
         f"{source.path}: {source.format}", left=("signal", "unit", "kind", "given over"), right=("values",)
     )

@@ -509,7 +509,8 @@ def _add_backbone(tests: Commands) -> None:
         nargs="+",
         required=True,
         metavar="A",
-        help="peak coil currents in A, above 0 and in ascending order, e.g. 0.1 0.2 0.4 (required)",
+        help="peak coil currents in A, above 0 and in ascending order, e.g. 0.1 0.2 0.4; they are measured upwards and "
+        "then downwards (required)",
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")

@@ -101,7 +101,9 @@ class ReplicatePlan:
     def _has_a_sensor(self, _attribute: object, response: Response) -> None:
         if response is Response.BASE_ACCELERATION:
             others = ", ".join(one for one in Response if one is not response)
-            raise ValueError(f"response must be one with a sensor of its own ({others}), got {response}")
+            raise ValueError(
+                f"response must be one that a sensor measures ({others}), got {response}, which is computed"
+            )
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -166,12 +166,14 @@ The filter is needed because the noise of a differentiated displacement increase
 
 
 def differentiated(displacement: Real, rate_hz: int, corner_hz: float) -> tuple[Real, Real]:
-    """Return velocity [m/s] and acceleration [m/s²] of a displacement that begins and ends at rest, shape (n,) each.
+    """Return velocity [m/s] and acceleration [m/s²] of a displacement, shape (n,) each.
+
+    The displacement must begin and end at zero, at rest.
 
     Args:
         displacement: the displacement [m], shape (n,).
         rate_hz: number of samples per second.
-        corner_hz: frequency at which the low-pass filter halves the result. The filter does not shift the phase.
+        corner_hz: frequency at which the low-pass filter halves the amplitude. The filter does not shift the phase.
     """
     padded = np.concatenate([displacement, np.zeros(len(displacement))])
     frequency: Real = np.asarray(np.fft.rfftfreq(len(padded), 1.0 / rate_hz), np.float64)

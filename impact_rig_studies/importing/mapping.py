@@ -74,8 +74,8 @@ class Channel:
             found = Sensitivity.parse(self.sensitivity)
             if found is None or found.unit not in allowed:
                 raise ConfigError(
-                    f"channels.{name}.sensitivity must be a voltage per unit of {' or '.join(allowed)}, like "
-                    f"`100 mV/{USUAL[name]}`, got {self.sensitivity!r}"
+                    f"channels.{name}.sensitivity must be a voltage per {' or '.join(allowed)} or unit of the same "
+                    f"quantity, like `100 mV/{USUAL[name]}`, got {self.sensitivity!r}"
                 )
             return volts / found.volts, found.unit
         if not self.unit:

@@ -130,7 +130,7 @@ class ImportedSignals:
 
 
 def reasons(left_out: Mapping[str, str]) -> str:
-    """Return the parts that are left out of a file, with the reasons, for a message; cut after 300 characters."""
+    """Return the parts that are left out of a file, with the reasons, as `name: reason`, cut to 300 characters."""
     return "; ".join(f"{name}: {why}" for name, why in left_out.items())[:300]
 
 

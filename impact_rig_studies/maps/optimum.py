@@ -120,12 +120,12 @@ def _best(known: dict[float, Reading]) -> float:
 
 
 def _measured(plan: MapPlan, over: str, values: tuple[float, ...], **changed: float) -> list[Reading]:
-    """Measure points at some values of the parameter `over`, each from a reset rig; return them in the same order.
+    """Measure points one after the other at some values of `over`, each from a reset rig; return them in this order.
 
     Args:
         plan: plan of the map, with all other values.
-        over: name of the parameter.
-        values: values of the parameter.
+        over: name of the varied parameter.
+        values: its values.
         **changed: values that replace those of the plan, by name; one of `over` is ignored.
     """
     return measure_line(plan.line(over, values, {name: one for name, one in changed.items() if name != over}))

@@ -207,7 +207,8 @@ class MapPlan:
             along: name of the axis along the line, or of the parameter that is searched for.
             values: its ascending values.
             held: values that replace those of `base`, by name of axis; None means none.
-            layer: one of `layers`; by default each point starts from rest.
+            layer: one of `layers`: `up` or `down` (the values are taken from the last to the first), `reset`, or a
+                start of the sphere; by default each point starts from rest.
         """
         return MapLine(
             changes={**self.changes, "sphere.start": layer} if layer in STARTS else self.changes,

@@ -37,7 +37,8 @@ def current_field() -> Any:
     return quantity(
         0.52,
         "A",
-        "Peak amplitude of the drive: a current, or by drive.kind a displacement in m or a voltage in V.",
+        "Peak amplitude of the drive: a current, or by drive.kind a displacement in m or a voltage in V. The default "
+        "is meant for a current.",
         Origin.IDENTIFIED,
         above=0,
         at_most=1000,

@@ -91,7 +91,9 @@ class HighPass:
         self._state = None
 
     def feed(self, scan: Table) -> Table:
-        """Return the filter's channel of a block, filtered, in its unit, as a table with the single column `pulses`.
+        """Return the filter's channel of a block, high-pass filtered, as a table with one row per scan.
+
+        Its single column `pulses` has the unit of the channel.
 
         The filter starts as if the channel had always had its first value.
         """

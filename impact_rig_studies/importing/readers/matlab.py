@@ -79,7 +79,8 @@ def _object_reason(name: str, kind: str) -> str:
 def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, value: Any, depth: int) -> None:
     """Add a variable to `tables` as a column of the struct `where`, or to `left_out` with the reason.
 
-    The fields of a struct are added recursively; `depth` counts the structs around the variable.
+    The fields of a struct are added recursively, empty variables nowhere. `depth` counts the structs and cells around
+    the variable; structs at the depth `DEEPEST` are left out.
     """
     shown = f"{where}.{name}" if where else name
     if hasattr(value, "toarray"):

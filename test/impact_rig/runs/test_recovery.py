@@ -427,7 +427,10 @@ def test_a_chunk_that_claims_gigabytes_is_not_decompressed(tmp_path):
     at = index.chunk_start_offset + records.RECORD_HEAD.size + 16
     data[at : at + 8] = (2**40).to_bytes(8, "little")
     path.write_bytes(data)
-    with open_run(path) as run, pytest.raises(RecordingError, match="its decompressed size is not that in the index"):
+    with (
+        open_run(path) as run,
+        pytest.raises(RecordingError, match="the decompressed size that it states is not that in the index"),
+    ):
         list(run.messages())
     assert recover(path, tmp_path / "out").damage_count == 1
 
