@@ -110,7 +110,7 @@ class Point:
 
     @property
     def status(self) -> str:
-        """Why measurements are missing or did not settle (`failure`); if all settled, the status of the last one."""
+        """Reason why measurements are missing or did not settle (`failure`); if all settled, the last one's status."""
         return self.failure or str(self.rows["status"][-1].decode())
 
     @property

@@ -24,6 +24,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import aiohttp
 import pytest
@@ -35,6 +36,7 @@ from impact_rig import topics
 from impact_rig.cli import main
 from impact_rig.driver.sample_run import make_sample
 from impact_rig.recording import open_run
+from impact_rig_lab import cli
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -198,3 +200,20 @@ def test_invalid_arguments_are_rejected(sample: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr().err.strip().endswith("a port must be 0 (any) to 65535, got 99999")
     assert main(["lab", str(sample), "--attach", "/rig"]) == 1
     assert "choose one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("source", "last"),
+    [
+        (SimpleNamespace(directory=Path("runs/one")), "recorded: runs/one\n"),
+        (SimpleNamespace(directory=None), "recorded: nothing, as far as the recorder has reported\n"),
+        (SimpleNamespace(), ""),
+        (None, ""),
+    ],
+    ids=["recorded", "ended before a recording", "playback", "not started"],
+)
+def test_the_last_line_says_where_the_recording_is_or_that_there_is_none(
+    source: object, last: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cli._say_where(source)
+    assert capsys.readouterr().out == last
