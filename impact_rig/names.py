@@ -117,14 +117,13 @@ def file_name(text: str) -> str:
 
 
 def identifier(text: str) -> str:
-    """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits and `-`, first a letter.
+    """Return an identifier for HTML and SVG, derived from any text: ASCII letters, digits, `_` and `-`, first a letter.
 
-    If replacing each `_` by `-` makes the text an identifier without a double or trailing `-`, the result is that, so
-    `a_b` and `a-b` give the same. Any other text gets the prefix `n-` and a digest at its end, so that different texts
-    stay different.
+    A text of this form is returned unchanged, unless it has a `-` at its end or several in a row. Any other text gets
+    the prefix `n-` and a digest at its end, so that different texts stay different.
     """
-    plain = re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")
-    if plain.replace("-", "_") == text.replace("-", "_") and plain[:1].isalpha():
+    plain = re.sub(r"[^A-Za-z0-9_]+", "-", text).strip("-")
+    if plain == text and plain[:1].isalpha():
         return plain
     return f"n-{plain[:LONGEST_FILE_NAME]}-{_digest(text)}"
 

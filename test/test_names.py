@@ -40,6 +40,11 @@ def test_a_file_name_stays_in_its_directory(text):
 @given(ANY, ANY)
 def test_different_names_give_different_files_and_identifiers(one, other):
     assert (names.file_name(one) == names.file_name(other)) == (one == other)
+    assert (names.identifier(one) == names.identifier(other)) == (one == other)
+
+
+def test_studies_whose_names_differ_in_one_sign_have_their_own_figures():
+    assert len({names.identifier(name) for name in ("study_a_b", "study_a-b", "study_a b", "study_a__b")}) == 4
 
 
 @pytest.mark.parametrize("name", ["gap_6mm", "fig8a_gap_2.5mm", "run_20260101_120000", "a=1,b=2"])
@@ -49,7 +54,7 @@ def test_an_ordinary_name_is_its_own_file_name(name):
 
 @given(ANY)
 def test_an_identifier_is_valid_in_every_format(text):
-    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", names.identifier(text))
+    assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", names.identifier(text))
 
 
 @given(ANY)

@@ -800,7 +800,11 @@ class _Salvage:
         elif name == description.TOPIC_RECORD_NAME:
             self._take_topic(found, verified)
         elif name == losses.RECORD_NAME:
-            self.losses = verified
+            try:
+                losses.read_record(verified)
+                self.losses = verified
+            except DamageError as error:
+                self._report.note(self._damage(found, str(error)))
         elif name == RECORD_NAME:
             with contextlib.suppress(DamageError):
                 self.recovered = read_record(verified)

@@ -427,14 +427,13 @@ class LockedSine:
         return found
 
     def describe(self) -> str:
-        """Return the progress of a running or finished lock as text for the user, such as "tracking at 9.1 Hz".
+        """Return the progress of the lock as text for the user, such as "tracking at 9.1 Hz".
 
-        Not for an aborted lock, see `reason`.
+        It is "idle" or "aborted" for such a lock, without the `reason`.
         """
         at = f"{self._lock.frequency_hz:.6g} Hz"
-        return (
-            f"{self._lock.stage} at {at}" if self.state is SweepState.RUNNING else f"finished, the resonance is at {at}"
-        )
+        running, finished = f"{self._lock.stage} at {at}", f"finished, the resonance is at {at}"
+        return {SweepState.RUNNING: running, SweepState.FINISHED: finished}.get(self.state, str(self.state))
 
     def figures(self) -> dict[str, float]:
         """Return the progress for the diagnostics of a node: samples, frequency, phase [°] and whether it is locked.

@@ -129,13 +129,14 @@ class SteppedSine:
         return self._at, len(self._points)
 
     def describe(self) -> str:
-        """Return the progress of a running or finished sweep as text for the user.
+        """Return the progress of the sweep as text for the user.
 
-        For example "point 3 of 10: 8.5 Hz" or "finished, 10 points"; not for an aborted sweep, see `reason`.
+        For example "point 3 of 10: 8.5 Hz" or "finished, 10 points"; "idle" or "aborted" without the `reason`.
         """
         done, count = self.progress
         running = f"point {done + 1} of {count}: {self.frequency_hz:g} Hz"
-        return running if self.state is SweepState.RUNNING else f"finished, {count} points"
+        texts = {SweepState.RUNNING: running, SweepState.FINISHED: f"finished, {count} points"}
+        return texts.get(self.state, str(self.state))
 
     def figures(self) -> dict[str, object]:
         """Return points done, all points, present frequency and skipped frequencies [Hz] by key, for diagnostics."""

@@ -38,7 +38,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from impact_rig.errors import RecordingError
-from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, open_run, records
+from impact_rig.recording import Attachment, Provenance, RunWriter, TopicDescription, losses, open_run, records
 from impact_rig.runs import info, recover, recovery
 from impact_rig.system import budget
 from impact_rig.system.budget import BudgetError
@@ -368,6 +368,20 @@ def test_losses_of_an_earlier_recovery_are_still_reported(record, tmp_path):
     assert once.recovered.missing_messages > 0
     assert twice.recovered == attrs.evolve(once.recovered, source="once")
     assert not twice.intact
+
+
+def test_an_invalid_account_of_losses_counts_as_damage_and_is_left_out(tmp_path):
+    with RunWriter(
+        tmp_path / "run",
+        provenance=PROVENANCE,
+        clock=HandClock(),
+        closing=lambda: {losses.RECORD_NAME: {"/rig/a": "x"}},
+    ) as writer:
+        writer.add_topic(SMALL_TOPICS[0])
+        writer.write_at(SMALL_TOPICS[0].name, string("message"), 10, 20, 1)
+    report = recover(writer.directory, tmp_path / "out")
+    assert "invalid metadata record 'impact_rig/losses'" in report.damages[0].reason
+    assert info(tmp_path / "out").recovered.damages == report.damage_count == 1
 
 
 def test_recovery_overwrites_no_file(record, tmp_path):

@@ -71,6 +71,7 @@ class Running:
 
 def test_the_lock_finds_the_resonance_despite_lost_scans_and_stops_after_the_dwell() -> None:
     running = Running()
+    assert running.lock.describe() == "idle"
     running.begin()
     assert running.lock.describe() == "seeking at 8.9 Hz"
     running.run(1.0)

@@ -48,7 +48,7 @@ def sweep(**changes):
 )
 def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visited):
     one = sweep(direction=direction)
-    assert one.state is SweepState.IDLE
+    assert (one.state, one.describe()) == (SweepState.IDLE, "idle")
     commands = [one.start(0)]
     now = 0
     while one.state is SweepState.RUNNING:
@@ -59,7 +59,7 @@ def test_points_are_visited_in_order_and_the_drive_ends_at_zero(direction, visit
     assert [c.frequency_hz for c in commands[:-1]] == visited
     assert all(c.current_a == 0.5 for c in commands[:-1])
     assert commands[-1] == Setpoint(visited[-1], 0.0)
-    assert one.state is SweepState.FINISHED
+    assert (one.state, one.describe()) == (SweepState.FINISHED, f"finished, {len(visited)} points")
     assert one.rows["frequency"].tolist() == visited
     assert one.progress == (len(visited), len(visited))
 
