@@ -17,7 +17,8 @@ A program creates its `Ending` in its first import, which installs the handlers 
 the other imports, a signal ends the program immediately. Afterwards the first signal raises `SignalReceived` in the
 main thread, so that files and processes are closed while the exception propagates. Further signals have no effect. Code
 that must not be interrupted runs in `defer_signals`. If third-party code catches the exception, as callbacks do, it is
-raised again every second. A program that has not ended 15 s after the first signal is ended immediately.
+raised again every second. A program that has not ended 15 s after the first signal is ended immediately, unless its
+signals raise nothing (`interrupting`).
 """
 
 from __future__ import annotations
