@@ -377,7 +377,7 @@ class RigDriver(abc.ABC):
     def command(
         self, frequency_hz: float | None = None, current_a: float | None = None, *, at_sample: int | None = None
     ) -> int:
-        """Command the drive: frequency of a sine, amplitude of a sine or random drive.
+        """Command the drive: frequency of a sine, and amplitude of any drive except a stream.
 
         Args:
             frequency_hz: new frequency [Hz], within the shaker's range (by default 5 to 200); None leaves it unchanged.
