@@ -107,7 +107,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to rig and analysis; if `begin` is set, start the sweep as soon as the rig is running."""
+        """Subscribe to rig and analysis; if `begin` is set, start the sweep as soon as nothing is `_missing`."""
         self._now_ns, self._pending = None, self.settings.begin
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),

@@ -92,7 +92,10 @@ class Point:
 
     @property
     def impacts_per_cycle(self) -> float:
-        """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements; NaN without one."""
+        """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements.
+
+        NaN without a measurement, and if impacts cannot be counted: without an accelerometer, or at a low scan rate.
+        """
         return self._mean("impacts_per_cycle")
 
     @property

@@ -192,7 +192,7 @@ def _print_margins(console: Console, varied: list[Variation]) -> None:
 
 
 def _print_quiet(console: Console, done: run.Finished) -> None:
-    """Print at how many points the sphere did not strike, with the remark on the first one (`Point.note`)."""
+    """Print at how many settled points the sphere did not strike, with the remark on the first (`Point.note`)."""
     notes = [point.note for point in done.points if point.settled and point.note]
     if notes:
         console.print(f"{len(notes)} of {len(done.points)} points: the sphere did not strike ({notes[0]})")

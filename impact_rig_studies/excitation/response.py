@@ -169,10 +169,11 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
         reference: name of the channel of the reference (denominator).
 
     Yields:
-        The frequency response from all measured frames so far, after each frame from the third on.
+        The frequency response from all measured frames so far, after each frame from the third on. The drive is stopped
+        after the last one. After an error, or if you do not iterate to the end, call `hardware.output.stop()`.
 
     Raises:
-        ConfigError: the band of the excitation is not below half of the sample rate.
+        ConfigError: the band of the excitation is not ascending, or not below half of the sample rate.
         BudgetError: the excitation would have too many samples.
         CommandError: the shaker trips, or rejects the drive.
         TimeoutError: the rig did not advance.

@@ -240,7 +240,7 @@ class Identified:
 
     @property
     def chance(self) -> float:
-        """Probability that random errors alone make χ² as large or larger (its p-value); 1 if `freedom` is 0."""
+        """Probability that random errors alone make χ² as large or larger (its p-value); 1 if `freedom` is not > 0."""
         return float(scipy.special.chdtrc(self.freedom, self.chi_square)) if self.freedom > 0 else 1.0
 
     @property
@@ -258,7 +258,7 @@ class Identified:
         return float(np.exp(self.log_constants[NAMES.index(name)]))
 
     def u(self, name: str) -> float:
-        """Return the standard uncertainty of a constant, in its unit in `UNITS`; infinite if it is undetermined."""
+        """Return the standard uncertainty of a constant, in its unit in `UNITS`; infinite if nothing is known of it."""
         return self.value(name) * float(self.information.u_relative[NAMES.index(name)])
 
 
@@ -277,8 +277,10 @@ def identify(
         on_step: receives a description of each step for the user.
 
     Raises:
-        ConfigError: `measured` contains no data, or a constant leaves its range during the fit.
-        SimulationError: with every start of the fit, the sphere's motion cannot be simulated at some measured gap.
+        ConfigError: `measured` contains no data, or a constant leaves its range before the fit with the sphere
+            begins.
+        SimulationError: with every start of the fit, the sphere's motion cannot be simulated at some measured gap, or a
+            constant leaves its range.
     """
     if measured.decay is None and measured.sine is None and measured.reduced is None:
         raise ConfigError(
@@ -496,14 +498,15 @@ class _Profile:
         the nuisance parameters `nuisance`) or at the fit at a neighbouring e.
 
         Raises:
-            SimulationError: with every start, the motion cannot be simulated at some measured gap.
+            SimulationError: with every start, the motion cannot be simulated at some measured gap, or a constant leaves
+                its range.
         """
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
                 f"with each of the {len(starts)} starts of the fit, the motion with the sphere cannot be simulated at "
-                "some measured gap: check sphere and contact law in the configuration of the known rig, the gaps, and "
-                "the measured current"
+                "some measured gap, or a constant leaves its range: check sphere and contact law in the "
+                "configuration of the known rig, the gaps, and the measured current"
             )
         if self._u == 0.0:
             return [min(first, key=lambda one: one.cost)]

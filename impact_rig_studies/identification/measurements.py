@@ -159,10 +159,11 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
     """Return the ratios of DT with the sphere to DT without it, at one frequency, for the gaps that have a result.
 
-    Only gaps in `gaps_m` are used. Points at which the sphere did not strike are left out, as they contain no
-    information on it. If impacts were not counted, for lack of an accelerometer, the point is used. The ratios are not
-    corrected for `gains`, the calibration errors of the sensors; `effects` states how each acts on them. The result is
-    None if DT without the sphere was not measured at this frequency, or if no point with the sphere remains.
+    Only gaps in `gaps_m` are used. Points at which the sphere did not strike (`Point.impacts`) are left out, as they
+    contain no information on it. If impacts were not counted, for lack of an accelerometer, the point is used. The
+    ratios are not corrected for `gains`, the calibration errors of the sensors; `effects` states how each acts on them.
+    The result is None if DT without the sphere was not measured at this frequency, or if no point with the sphere
+    remains.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]

@@ -53,6 +53,7 @@ def guess(source: ImportedSignals) -> Mapping:
     A signal named like a channel is that channel. After that, words of other programs decide (`HINTS`), and then units
     that only one channel can have. If no signal is found for `laser` (the motion of the structure), but there are an
     accelerometer on the structure and a `base`, the accelerometer's signal is used for `laser` as well.
+    A signal named `frequency` or `gap` takes precedence over the file name.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}

@@ -377,8 +377,8 @@ def _commands(
     """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
 
     They are those of the table `drive`. Its times count from the same instant as those of `source`, unless both contain
-    dates. Without it, the values of the frequency signal `followed` are used, with a
-    command at each change, and without that signal the single frequency of the mapping.
+    dates. Without it, the values of the frequency signal `followed` are used, with a command at each change. Without
+    that signal the single frequency of the mapping is used.
 
     Raises:
         ConfigError: the table lacks a column, one of its times is not finite, or a column has a wrong unit.
@@ -461,10 +461,10 @@ def _frequency_of(
 ) -> tuple[float, bool]:
     """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
-    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`, in its longest
-    part without a missing value. Lines are compared as displacements. This raises the noise of an accelerometer at low
-    frequencies. Therefore lines clearly above the noise around them take precedence over larger ones that are not. A
-    clear sine has more power than the rest of the signal.
+    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`, in the end
+    (`FREQUENCY_S`) of its longest part without a missing value. Lines are compared as displacements. This raises the
+    noise of an accelerometer at low frequencies. Therefore lines clearly above the noise around them take precedence
+    over larger ones that are not. A clear sine has more power than the rest of the signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

@@ -32,8 +32,8 @@ _NO_SPHERE = re.compile(
 def frequency_hz(stem: str) -> float | None:
     """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz`, `9.1 hz` or `1kHz`.
 
-    It is None if the name has no frequency above 0, or several that differ. A frequency after `fs` or `rate` does not
-    count, because it is a sampling rate.
+    It is None if the name has no frequency above 0, or several that differ. A frequency directly after `fs` or
+    `rate`, as in `fs1000Hz`, does not count, because it is a sampling rate.
     """
     return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
 

@@ -72,8 +72,9 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
     """Yield the table of the sphere's added mass and loss factor by gap, as HTML.
 
-    Both follow from DT with and without the sphere, at the frequency with measurements of the most gaps. Nothing is
-    yielded if DT was not measured with and without the sphere at the same frequency.
+    Both follow from DT with and without the sphere, at the frequency with measurements of the most gaps (of several,
+    the one nearest to 9.1 Hz). Nothing is yielded if DT was not measured with and without the sphere at the same
+    frequency.
     """
     found = damper_effects(done.curves, done.calibration)
     counts = [frequency for own in found.values() for frequency in own]

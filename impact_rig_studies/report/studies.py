@@ -55,7 +55,7 @@ MOST_LINES = 2 * len(SERIES)  # the second half is dashed
 def study_figures(
     study: str, points: Sequence[Point], curves: Curves, calibration: Calibration, theory: Line | None = None
 ) -> Iterator[Drawn]:
-    """Yield the figure of a study; nothing if no axis has three values, or it would have too many lines.
+    """Yield the figure of a study; nothing if no numeric axis has three values, or it would have too many lines.
 
     It shows the reduction of DT relative to the reference rig without the sphere. It shows DT itself if it is drawn
     over the frequency, if the study has several sets of instruments, or if a reference value was not measured.
@@ -127,7 +127,7 @@ def study_figures(
 
 
 def _place(point: Point) -> dict[str, float | str]:
-    """Return the value of each axis at a point, by name of the axis: numbers as floats, all else as texts.
+    """Return the value of each axis at a point, by name of the axis: numbers as floats, all else and the seed as texts.
 
     The axes are frequency, gap (`NO_SPHERE` without a sphere), current and direction of every point, and those that the
     study varies. Numbers are in SI units.
