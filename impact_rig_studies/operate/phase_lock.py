@@ -644,7 +644,8 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     """Return resonance frequency and transmissibility as means of the samples of a lock, with their uncertainties.
 
     The detuning (resonance minus drive frequency f) of a sample is (f/2) Re(X_b/X_1), if the inferior base is the
-    reference of the lock. Its mean is not added to the returned frequency, but is a part of the uncertainty.
+    reference of the lock. Its mean is not added to the returned frequency, but is a part of the uncertainty. If the
+    current is the reference, the same formula serves as an estimate; for the paper's rig it gives 60 % of the detuning.
 
     Args:
         rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.
