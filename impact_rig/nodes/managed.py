@@ -167,7 +167,8 @@ class NodeState:
     Attributes:
         word: the most severe word that applies.
         reason: readable reason; empty if the word says enough.
-        since_ns: rig time at which the state began [ns]; None means the rig time of the first report with this word.
+        since_ns: rig time at which the state began [ns]; None means the rig time of the report in which the word
+            changed to this one.
     """
 
     word: enum.StrEnum
@@ -363,7 +364,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return self.create_timer(period_s, guarded(callback, self.report_failure), clock=self.steady)
 
     def every(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call `callback` every `period_s` seconds of wall time until the node is deactivated."""
+        """Call `callback` every `period_s` seconds, by a `steady_timer`, until the node is deactivated."""
         self.activation.callback(self.destroy_timer, self.steady_timer(period_s, callback))
 
     def offer(self, *chosen: topics.Topic) -> None:
@@ -466,8 +467,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
             service_type: `Trigger` or `SetBool`.
             name: service name.
             on_request: called with each request and a function that answers it, now or later. If it raises an
-                ImpactRigError, the request is rejected with that message; any other exception is reported as a failure.
-                If the node's state has changed after the call, diagnostics are published at once.
+                ImpactRigError, the request is rejected with that message. Any other exception gives such an answer,
+                too, and is reported by `report_failure`. Every answer without success is logged and counted. If the
+                node's state has changed after the call, diagnostics are published at once.
             check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
                 ImpactRigError to reject the request.
         """
@@ -495,7 +497,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         LateService(self, service_type, name, answer)
 
     def report_failure(self, where: str, message: str) -> None:
-        """Log an exception of the callback `where` as an error, and show it in diagnostics for 5 s (wall time)."""
+        """Log an exception of the callback `where` as an error, and show it in diagnostics for 5 s (wall time).
+
+        Each one is counted as rejected; at most one per second and callback is logged.
+        """
         self._last_error = (time.monotonic(), f"{where}: {message}")
         self.refusals.add("exception", message)
         self.warn_throttled(f"exception in {where}", f"exception in {where}: {message}", error=True)
@@ -772,7 +777,7 @@ class LateService:
 
     Args:
         on_request: called with each request, the system time at which it was sent [ns], and a function that sends its
-            response. It must not raise.
+            response. It must not raise. Without a time from the middleware, it is the time of receipt.
     """
 
     def __init__(

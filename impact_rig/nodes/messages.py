@@ -77,7 +77,7 @@ def class_of(topic: Topic) -> Any:
     """Return the Python class of a topic's messages.
 
     Raises:
-        ImportError, AttributeError: the package of the message type is not installed.
+        ImportError, AttributeError: the package of the message type is not installed, or lacks this type.
     """
     return message_class(topic.type_name)
 
@@ -86,14 +86,14 @@ def message_class(type_name: str) -> Any:
     """Import and return the class of a message type, `package/msg/Type`.
 
     Raises:
-        ImportError, AttributeError: the package of the type is not installed.
+        ImportError, AttributeError: the package is not installed, or lacks this type.
     """
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 def profile(qos: Qos, depth: int | None = None) -> QoSProfile:
-    """Return a new rclpy quality-of-service profile for `qos`; `depth`, unless None, replaces its queue length.
+    """Return a new rclpy quality-of-service profile for `qos`; `depth`, unless None or 0, replaces its queue length.
 
     Each call returns a new object, because rclpy writes overrides into the profile.
     """
@@ -120,6 +120,9 @@ def header_stamp_ns(message: Any) -> int | None:
     """Return the header's stamp [ns] of a message or of its CDR bytes; None for a message without a header.
 
     Bytes are always taken to begin with a header.
+
+    Raises:
+        CodecError: bytes are too short or not little-endian CDR, or the stamp in them is invalid.
     """
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)
@@ -128,10 +131,10 @@ def header_stamp_ns(message: Any) -> int | None:
 
 
 class Template:
-    """Serialised message in which only the stamp and some numbers are replaced before each publication.
+    """Serialised message in which only the stamp and some floating-point numbers are replaced before each publication.
 
     Args:
-        message: complete message, apart from its stamp and the changing numbers.
+        message: complete message, apart from its stamp and the changing numbers; it must begin with the stamp.
         paths: field of each changing number, in the notation of `put`.
     """
 

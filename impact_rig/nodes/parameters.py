@@ -52,7 +52,8 @@ class Proposal(Generic[S]):
     """Change of parameters that the validator has accepted and that is not applied yet.
 
     Attributes:
-        stored: the requested parameters, some perhaps with their present values, as ROS will store them.
+        stored: the requested parameters, some perhaps with their present values, as ROS will store them; without those
+            that `check` ignores.
         settings: all parameters of the node after the change, as one object.
         changes: only the values that differ from the present ones, by name.
     """
