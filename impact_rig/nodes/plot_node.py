@@ -104,7 +104,9 @@ class PlotDataNode(ManagedNode[PlotSettings]):
 
 
 class Plots:
-    """Computation of the messages for plotters from the tables of a rig; it publishes them where a plotter subscribes.
+    """Computation of the messages for plotters from the tables of a rig.
+
+    It publishes those computed from scans only where a plotter subscribes.
 
     Args:
         publishers: publisher by topic name.
@@ -161,7 +163,10 @@ class Plots:
         return bool(self._listened_to)
 
     def feed(self, scan: Table) -> None:
-        """Publish the envelopes, spectra, pulses and drive that become due with this block of `daq/scan`."""
+        """Publish the envelopes, spectra, pulses and drive that become due with this block of `daq/scan`.
+
+        Before `configure`, nothing is published; later, only topics that had subscribers at the last `poll`.
+        """
         if not self._rate_hz or not len(scan.rows):
             return
         self._since_drive += len(scan.rows)

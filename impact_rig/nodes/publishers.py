@@ -272,7 +272,10 @@ class Publishers:
         return bool(entries or applied)
 
     def configuration(self, rig: Rig) -> None:
-        """Publish the rig's configuration, and its calibration (`daq/info`) if it has changed; update the monitors."""
+        """Publish the rig's calibration (`daq/info`) if it has changed, and its configuration as `announce` does.
+
+        It also updates the monitors.
+        """
         info = rig.info()
         noise = noise_of(info)
         decides = rig.config.daq, rig.config.output, attrs.evolve(rig.config.instruments, faults=FaultPlan()), noise
@@ -287,9 +290,9 @@ class Publishers:
         self.announce(rig.config)
 
     def announce(self, config: RigConfig) -> None:
-        """Publish the configuration of the rig, and its appearance (URDF) if that has changed, even before it starts.
+        """Publish the configuration of the rig, and its appearance (URDF) if that has changed.
 
-        A recorder waits for the configuration before it begins its run.
+        This is possible before the rig starts: a recorder waits for the configuration before it begins its run.
         """
         self._node.send(topics.CONFIGURATION, String(data=dump(config)))
         description = robot_description(config)

@@ -106,9 +106,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
     """Lifecycle node that writes runs and acknowledges blocks of scans.
 
     While it records, it acknowledges a block after writing it to the file; otherwise at once. An acknowledgement covers
-    all earlier blocks on all topics. A recorder that should record but cannot, or that has lost a message of the rig,
-    therefore sends none until ~/stop is called. A rig that waits for this recorder then stops, and names it in its
-    diagnostics.
+    all earlier blocks on all topics. A recorder that has lost a message of the rig therefore sends none until ~/stop is
+    called; one whose recording failed sends none until ~/start or ~/stop. A rig that waits for this recorder then
+    stops, and names it in its diagnostics.
     """
 
     COMPONENT = "recording"
@@ -149,7 +149,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.offer(topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to the configuration of the rig, and start recording if the parameter `record` is set.
+        """Subscribe to the configuration of the rig, and request a run (see `_start`) if the parameter `record` is set.
 
         Otherwise the node also subscribes to the scans and acknowledges them, but records nothing until the service
         ~/start is called.
@@ -216,9 +216,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: numbers of lost messages by topic, and those of the current run.
+        """Return values for diagnostics: numbers of lost messages by topic, of the current or last run.
 
-        During a run, these are its directory, number of messages and size [MB].
+        During a run, its directory, number of messages and size [MB] are added; `other_publishers` names nodes that
+        have published the same topic although only one may.
         """
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
@@ -253,7 +254,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self._answer_start()
 
     def _answer_start(self) -> None:
-        """Answer waiting ~/start requests if the run is open and has the awaited messages, or if it has failed."""
+        """Answer waiting ~/start requests if the run is open and waits for no further message, or if it has failed."""
         if self._writer is not None and not self._awaited:
             self._answer(True, str(self._writer.directory))
         elif self._failure:
@@ -277,7 +278,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Request a run, which is opened once the configuration of the rig has arrived, because a run stores it first.
 
         If none arrives within `configuration_wait_s`, the run is opened without. This time counts from now; if
-        `patiently`, it counts from the first scans, and there is no limit to the wait for these.
+        `patiently`, it counts from the appearance of a publisher of scans, and there is no limit to the wait for that.
         """
         self._failure = ""
         self._waiting = True
