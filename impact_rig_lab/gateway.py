@@ -202,7 +202,7 @@ class Gateway:
         self._samples: dict[topics.Topic, Any] = {}
 
     async def close(self, why: str) -> None:
-        """Cancel all actions in progress, and unsubscribe from scans and motion.
+        """Cancel all actions in progress, and unsubscribe from scans and motion; `client` remains open.
 
         Args:
             why: reason that the pages of these actions receive.
@@ -218,7 +218,8 @@ class Gateway:
 
         Args:
             scans: whether to receive scans and detected impacts.
-            motion: whether to receive the true motion as well; if not, the motion received so far is forgotten.
+            motion: whether to receive the true motion as well, if `scans` is true. If it becomes false while the motion
+                is received, the motion received so far is forgotten.
         """
         wanted = {*(SCANS if scans else ()), *(TRUTH if scans and motion else ())}
         for topic in self._samples.keys() - wanted:
@@ -248,7 +249,10 @@ class Gateway:
         return received
 
     def seen(self, node: str) -> Seen:
-        """Return the last report of the node `node` in the diagnostics, with its age, and how its process has ended."""
+        """Return the last report of the node `node` in the diagnostics, with its age, and how its process has ended.
+
+        If the node has not reported yet, the age is None.
+        """
         status = self.client.diagnostics.get(node)
         ended = self._own.ended(node) if self._own is not None else ""
         if status is None:
@@ -261,9 +265,9 @@ class Gateway:
     # Actions
 
     def begin(self, request: Request, answer: Answer) -> None:
-        """Start the action that a page requests, or reject it at once if its rig is gone.
+        """Start the action that a page requests, or reject it at once if it is unknown or its rig is gone.
 
-        An emergency stop cancels all other actions on the rig.
+        An emergency stop cancels all other actions in progress except those in `FREE`.
 
         Args:
             request: the request.
@@ -418,7 +422,7 @@ class Gateway:
             Answer for the page.
 
         Raises:
-            Refused: the rig rejects the command, or does not apply it in time.
+            Refused: no node subscribes to the command, or the rig rejects it or does not apply it in time.
         """
         record, topic = self.record, COMMANDS[column]
         before, refusal = record.changes, self.client.refusal(topic.name, "inactive")
@@ -438,7 +442,7 @@ class Gateway:
     # The rig
 
     async def do_stop(self) -> str:
-        """Request an emergency stop: the rig ramps the current to zero and latches its shaker, in any state.
+        """Request an emergency stop: the rig ramps its drive to zero and latches its shaker, in any state.
 
         Returns:
             Answer for the page, when the rig has confirmed it.
@@ -504,7 +508,7 @@ class Gateway:
         """Apply a configuration: set all parameters of the rig that differ from it, all at once or none.
 
         A parameter that is missing in the file gets its default value. Parameters that cannot change while the rig runs
-        are left out, and named in the answer.
+        are left out, and named in the answer. A changed gap also becomes the label of the analysis.
 
         Args:
             value: content of a ROS 2 parameter file.
@@ -526,6 +530,8 @@ class Gateway:
 
     async def do_fault(self, kind: str, channel: str, value: float, duration: float, rate: float) -> str:
         """Start a simulated instrument fault now, by adding it to the planned faults of the rig.
+
+        Of more than `MOST_FAULTS` planned faults, the oldest are dropped.
 
         Args:
             kind: kind of fault, a key of `FAULT_KINDS`.
@@ -628,7 +634,8 @@ class Gateway:
         """Start a new recording if `value` is true, otherwise stop the present one, if there is one.
 
         Raises:
-            Refused: a recording is in progress already, or the recorder has failed or does not answer in time.
+            Refused: a recording is in progress or requested already, it cannot be written, or the recorder does not
+                answer in time.
         """
         return await self._trigger("recorder/start" if value else "recorder/stop", 20.0)
 
@@ -637,6 +644,7 @@ class Gateway:
 
         Raises:
             Refused: the recorder is running, or no recording is known.
+            RecordingError: nothing can be recovered, or the directory contains a recording already.
         """
         recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")

@@ -141,8 +141,8 @@ class LiveSource(Source):
     def _poll(self) -> None:
         """Process new messages of scans and motion, and subscribe to these topics only while a page is open.
 
-        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion and only short samples of
-        the scans, which also relieves the rig.
+        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion. Of the scans it then
+        receives only short samples unless an action is in progress, which also relieves the rig.
         """
         if self._gateway is None:
             return

@@ -87,8 +87,8 @@ class RunPlayer:
         rig: namespace of the rig to show; None means the only one in the recording.
 
     Raises:
-        RecordingError: the run contains no intact message, no scans or an impossible calibration, not this rig, or
-            several rigs without `rig`.
+        RecordingError: `path` does not exist; or the run contains no intact message, no scans, no calibration or an
+            invalid one, not this rig, or several rigs without `rig`.
     """
 
     def __init__(self, path: Path, rig: str | None = None) -> None:
@@ -184,7 +184,8 @@ class RunPlayer:
         `play` continues from there.
 
         Args:
-            page_s: the time of the page [s]; outside the run, the ring buffers stay empty or show its end.
+            page_s: the time of the page [s]. Before the run the ring buffers stay empty; after it they show its end, or
+                nothing if its end is longer ago than the buffers last.
         """
         self._quiet.clear()
         try:
@@ -265,9 +266,9 @@ class RunPlayer:
         return sum(count for stamp, count in list(self._lost) if stamp <= at)
 
     def at(self, page_s: float) -> Instant:
-        """Return parameters, drive and reasons to be stopped at a time of the page [s since scan 0 of the first run].
+        """Return the state of the rig at a time of the page [s since scan 0 of the first run].
 
-        They result from the changes that have been read so far; a later time gives the last state that was read.
+        It results from the changes that have been read so far; a later time gives the last state that was read.
         """
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)
@@ -282,8 +283,8 @@ class RunPlayer:
     def present(self, page_s: float, then: Instant) -> dict[str, Any]:
         """Return whether the newest measurement before a time of the page applied then, in the form of `state.present`.
 
-        It applied if the shaker was driven, nothing had changed since the measurement began, and there were no doubts
-        about it (`RigView.doubts`).
+        It applied if it measured a settled response, the shaker was driven, nothing had changed since the measurement
+        began, and there were no doubts about it (`RigView.doubts`).
 
         Args:
             page_s: the time of the page [s].
@@ -385,7 +386,7 @@ class PlaybackSource(Source):
         return self._now_s
 
     def start(self) -> None:
-        """Start to read the marks of the runs (changes, measurements, faults, impacts, lost blocks), and to play."""
+        """Start to read the marks of the runs (see `RunPlayer.start`), and to play whenever a page is open."""
         for run in self._runs:
             run.start()
         super().start()
@@ -497,7 +498,10 @@ class PlaybackSource(Source):
             RecordingError: there is no second run, or no such entry in what has been read of the runs so far.
         """
         if len(self._runs) < 2:
-            raise RecordingError("only one run is shown, so there is nothing to align: open the page with two runs")
+            raise RecordingError(
+                "only one run is shown, so there is nothing to align: start the lab with two runs (impact-rig lab RUN "
+                "RUN)"
+            )
         first, second = self._runs
         words = {"start": "both runs begin together", "time": "both runs by their time since scan 0"}.get(by, "")
         offset_s = second.begin_s - first.begin_s if by == "start" else 0.0
