@@ -96,7 +96,7 @@ def number(low: float = -math.inf, high: float = math.inf) -> Check:
         try:
             found = float(value)
         except OverflowError as error:
-            raise RequestError(f"{name} must be below 1.8e308, got a number of {len(str(value))} digits") from error
+            raise RequestError(f"{name} must be within ±1.8e308, got a number of {len(str(value))} digits") from error
         if not (math.isfinite(found) and low <= found <= high):
             raise RequestError(f"{name} must be a finite number within {low:g} and {high:g}, got {found:g}")
         return found
@@ -130,7 +130,8 @@ def text(name: str, value: object) -> str:
     """Check that the value `name` of a request is a text that can be published on a topic, and return it.
 
     Raises:
-        RequestError: the value is not a text, is longer than `LONGEST_TEXT`, or contains control characters.
+        RequestError: the value is not a text, is longer than `LONGEST_TEXT`, or contains characters that cannot be
+            printed, such as line breaks. An empty text is valid.
     """
     if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
         raise RequestError(f"{name} must be a printable text of at most {LONGEST_TEXT} characters, got {_short(value)}")
@@ -215,7 +216,7 @@ def parse(raw: str | bytes) -> Request:
     """Parse and check a message from a page as a request.
 
     Args:
-        raw: the message, a JSON object.
+        raw: the message, a JSON object. Its keys `id` (default 0) and `rig` are optional.
 
     Raises:
         RequestError: the message is too long or no JSON object, the request is unknown, or a value is missing, unknown

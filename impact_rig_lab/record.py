@@ -137,7 +137,7 @@ class Rows:
 
 
 class MotionBuffer:
-    """Motion of the last seconds in SI units: true states and impacts, and impacts detected by the accelerometer.
+    """Newest motion in SI units: true states and impacts, and impacts detected by the accelerometer, 4096 rows of each.
 
     Attributes:
         states: rows of time, three positions x_b, x_1, x_2 and their velocities v_b, v_1, v_2. The indices b, 1 and 2
@@ -462,8 +462,9 @@ class RigView:
     def doubts(self, at_ns: int | None = None) -> list[str]:
         """Return reasons why the newest measurement may not describe the present rig, as text; empty if there are none.
 
-        They are active faults, problems of channels, a change since the measurement began, and a label of the analysis
-        with another gap than that of the rig. Without a measurement, they are active faults.
+        They are faults that are active or were so during the measurement, problems of channels, a change since the
+        measurement began, and a label of the analysis with another gap than that of the rig. Without a measurement,
+        they are active faults.
 
         Args:
             at_ns: rig time for which to judge; None means now.
@@ -649,7 +650,8 @@ def scan_rate(info: Table) -> float:
     """Return the scans per second of a rig according to a table of `daq/info`.
 
     Raises:
-        RecordingError: the rate is below 1 Hz, or too high for the memory of the ring buffers (`HIGHEST_RATE_HZ`).
+        RecordingError: the rate is below 1 Hz, or too high for the memory of the ring buffers (`HIGHEST_RATE_HZ`), or
+            the table has no rows.
     """
     rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:

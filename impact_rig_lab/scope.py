@@ -138,7 +138,7 @@ class Scope:
 
     @property
     def end_s(self) -> float:
-        """Return the time of the end of the newest scan [s since scan 0]."""
+        """Return the time of the end of the newest scan [s since scan 0]; 0 without scans."""
         return self.end / self.rate_hz
 
     def clear(self) -> None:
@@ -217,8 +217,8 @@ class Scope:
         """Return a picture of the newest scans; None if there are none.
 
         Args:
-            span_s: length of the window [s].
-            columns: approximate number of columns; the picture may have fewer, or up to 1.5 times as many.
+            span_s: length of the window [s], at most `LONGEST_S`; a longer one is shortened.
+            columns: approximate number of columns; the picture may have fewer, or up to twice as many.
             trigger: whether to move the window back in time until it begins where the current crosses zero upwards, so
                 that successive pictures of a periodic motion coincide. If there is no such crossing, it is not moved.
         """
