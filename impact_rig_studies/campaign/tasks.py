@@ -116,7 +116,7 @@ class TaskStore(Generic[T]):
         """Read the configuration of the rig of the study in this directory.
 
         Raises:
-            ConfigError: the directory has no results of the command `what`, or its configuration is invalid.
+            ConfigError: the directory is not one of the command `what`, or its configuration is invalid.
         """
         if not self.file.exists() or not (self.directory / self.folder).is_dir():
             raise ConfigError(

@@ -56,7 +56,10 @@ SHOWN = 12  # approximate number of rows of a phase lock that are printed; the C
 
 @contextlib.contextmanager
 def _results(arguments: argparse.Namespace) -> Iterator[Path]:
-    """Create and yield the directory of a test's results, before the test: if it cannot be written, no time is lost."""
+    """Create and yield the directory of a test's results, before the test: if it cannot be written, no time is lost.
+
+    If the test fails without a file in it, a new directory is removed again.
+    """
     directory = run_directory(arguments.output, arguments.test)
 
     def prepare() -> Path:

@@ -41,7 +41,10 @@ Work = Callable[[Hardware], Iterator[object]]  # function that drives the rig, a
 
 
 def run_play(arguments: argparse.Namespace) -> int:
-    """Drive the rig with a signal of a file or run, and return the exit code; `_drive` explains it."""
+    """Drive the rig with a signal of a file or run, and return the exit code.
+
+    The code is 1 if the test ended early or has no result.
+    """
     from impact_rig_studies.excitation.history import play  # noqa: PLC0415  # scipy
 
     samples = _history(arguments, "A")
@@ -157,6 +160,7 @@ def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of:
     Raises:
         ConfigError: the configuration does not drive the shaker with a current.
         ImpactRigError: the test ended before `work` yielded anything.
+        KeyboardInterrupt: the user interrupted the test; results so far have been written.
     """
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 

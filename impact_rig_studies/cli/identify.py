@@ -59,7 +59,8 @@ def run_identify(arguments: argparse.Namespace) -> int:
     """Fit constants to a campaign or to the paper's reductions, print them, and return the exit code, 0.
 
     The results of a campaign are written into its directory. The configuration with the constants is written only if
-    the data determine all of them and the model explains the data. For the paper's reductions, nothing is written.
+    the data determine all of them and the model explains the data; otherwise an earlier one stays. For the paper's
+    reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
     if arguments.paper:

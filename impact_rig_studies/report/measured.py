@@ -74,7 +74,7 @@ class MeasuredData:
 
 
 def of_campaign(done: Finished) -> MeasuredData:
-    """Return the content of the report of an imported campaign."""
+    """Return the content of the report of an imported campaign, with the last measurement of each settled point."""
     settled = [point for point in done.points if point.settled]
     parts = [point.rows[-1:] for point in settled]
     rows: NDArray[np.void] = np.concatenate(parts) if parts else np.empty(0, TRANSMISSIBILITY)
@@ -107,6 +107,8 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
     """Return the content of the report of a run; `rig` is a namespace, needed only if the run has several rigs.
+
+    It contains the newest settled measurement at each gap and frequency.
 
     Raises:
         RecordingError: the run cannot be read or analysed.

@@ -167,6 +167,8 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
     """Draw DT along continued branches of the model's motions, with measurements at the values held along them.
 
+    The measurements are the settled points of the reference rig with its sphere.
+
     Args:
         name: name of the figure.
         study: branches that `impact-rig dynamics continue` computed.
