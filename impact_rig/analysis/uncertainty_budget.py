@@ -48,18 +48,19 @@ AMPLITUDES = ((LASER, "laser_amplitude"), (BASE, "base_amplitude"))
 def rounded(value: float, u: float) -> tuple[str, str]:
     """Return a value and its expanded uncertainty 2u as two texts, both to the second significant digit of 2u.
 
-    A number that is NaN or infinite becomes "-". A value whose 2u is zero, negligible or not finite has ten digits.
+    A number that is NaN or infinite becomes "-", and a zero has no minus sign. A value whose 2u is zero, negligible or
+    not finite has ten digits.
     """
     expanded = COVERAGE * u
     if not (math.isfinite(value) and max(CERTAIN, CERTAIN_PART * abs(value)) < expanded < math.inf):
         return _text(value, ".10g"), _text(expanded, ".2g")
     places = 1 - int(f"{expanded:.1e}".partition("e")[2])
-    value_text, expanded_text = (f"{round(one, places):.{max(places, 0)}f}" for one in (value, expanded))
+    value_text, expanded_text = (f"{round(one, places):z.{max(places, 0)}f}" for one in (value, expanded))
     return value_text, expanded_text
 
 
 def _text(number: float, spec: str) -> str:
-    return format(number, spec) if math.isfinite(number) else "-"
+    return format(number, f"z{spec}") if math.isfinite(number) else "-"
 
 
 def plus_minus(value: float, u: float) -> str:

@@ -105,7 +105,7 @@ def _print_last(console: Console, rows: NDArray[np.void]) -> None:
     row = settled[-1]
     console.print(
         f"DT {plus_minus(row['transmissibility'], row['transmissibility_uncertainty'])} (2u), phase "
-        f"{math.degrees(row['phase']):.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
+        f"{math.degrees(row['phase']):z.2f}°, at {row['frequency']:g} Hz: the last of {len(settled)} settled "
         "measurements"
     )
     if note := note_on(row):

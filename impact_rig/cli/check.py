@@ -79,9 +79,9 @@ def _print_instruments(checks: Sequence[ChannelCheck], console: Console) -> None
     for check in checks:
         table.add_row(
             check.channel,
-            f"{100.0 * (abs(check.gain) - 1.0):+.3f} %",
+            f"{100.0 * (abs(check.gain) - 1.0):+z.3f} %",
             f"± {100.0 * check.gain_limit:.2f} %",
-            f"{math.degrees(check.phase_rad):+.3f}°",
+            f"{math.degrees(check.phase_rad):+z.3f}°",
             f"{100.0 * check.residual / check.residual_limit:.0f} %",
             _POLARITY[check.polarity],
             Text("ok", "green") if check.ok else Text("not ok", "red"),

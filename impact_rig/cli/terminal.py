@@ -122,8 +122,12 @@ class TextTable(rich_table.Table):
 
 
 def figure(value: float, spec: str, missing: str = "-") -> str:
-    """Format a measured value with `spec`; a value that does not exist (NaN or infinite) becomes the text `missing`."""
-    return format(value, spec) if math.isfinite(value) else missing
+    """Format a measured value with `spec`, such as `+.2f`; one that rounds to zero from below has no minus sign.
+
+    A value that does not exist (NaN or infinite) becomes the text `missing`.
+    """
+    sign = spec[: spec.startswith("+")]
+    return format(value, f"{sign}z{spec.removeprefix(sign)}") if math.isfinite(value) else missing
 
 
 class Words(TextColumn):

@@ -137,13 +137,14 @@ def values(key: str, value: object) -> list[object]:
         items = [value]
     if not 1 <= len(items) <= MAX_VALUES:
         raise wrong(key, f"a list of 1 to {MAX_VALUES} values", value)
-    known: set[object] = set()
+    known: set[tuple[bool, object]] = set()
     for i, item in enumerate(items):
         if isinstance(item, (list, dict, set)):
             raise wrong(f"{key}[{i}]", "one value", item)
-        if item in known:
+        same = isinstance(item, bool), item  # 1 and true are equal in Python
+        if same in known:
             raise ConfigError(f"{key} must not repeat a value, got {item!r} twice")
-        known.add(item)
+        known.add(same)
     return items
 
 
@@ -236,4 +237,4 @@ def _range(key: str, given: Mapping[str, object]) -> Iterable[float]:
     if not (last - first) / step < MAX_VALUES:
         raise wrong(f"{key}.step", f"such that there are at most {MAX_VALUES} values", step)
     count = math.floor((last - first) / step + 1e-9) + 1
-    return (round(first + i * step, _DIGITS) for i in range(count))
+    return (round(first + i * step, _DIGITS) + 0.0 for i in range(count))

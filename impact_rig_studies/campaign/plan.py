@@ -72,12 +72,9 @@ class Study:
 
     @property
     def points(self) -> int:
-        """Number of combinations of values times repetitions.
-
-        With the direction `up_down`, twice as many points are measured.
-        """
+        """Number of points to measure: combinations of values times repetitions, twice as many for `up_down`."""
         axes = (self.frequencies_hz, self.gaps_m, self.currents_a, *self.vary.values())
-        return self.repetitions * math.prod(map(len, axes))
+        return (1 + (self.direction == Direction.UP_DOWN)) * self.repetitions * math.prod(map(len, axes))
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -139,7 +139,7 @@ def _amplitudes_at_peak(curves: Curves) -> Judgement:
 def _grows_with_gap(curves: Curves) -> Judgement:
     reductions = [_reduction(curves, gap) for gap in GAPS_M]
     least = min(b - a for a, b in itertools.pairwise(reductions))
-    return Statement(least > 0.0, least, 0.0), " < ".join(f"{value:.1f}" for value in reductions) + " %"
+    return Statement(least > 0.0, least, 0.0), " < ".join(f"{value:z.1f}" for value in reductions) + " %"
 
 
 def _lower_above_resonance(curves: Curves) -> Judgement:
@@ -160,7 +160,7 @@ def _agree_far_away(curves: Curves) -> Judgement:
         for frequency in FAR_HZ
     }
     (gap, frequency), worst = max(deviations.items(), key=lambda item: abs(item[1]))
-    detail = f"largest difference {worst:+.1f} % (gap {gap * 1e3:g} mm, {frequency:g} Hz)"
+    detail = f"largest difference {worst:+z.1f} % (gap {gap * 1e3:g} mm, {frequency:g} Hz)"
     return Statement(abs(worst) <= FAR_LIMIT_PERCENT, abs(worst), FAR_LIMIT_PERCENT), detail
 
 
@@ -175,9 +175,9 @@ def _falls_beyond_optimum(curves: Curves) -> Judgement:
     best = max(gaps, key=lambda gap: reductions[gap])
     beyond = {gap: reductions[gap] for gap in gaps if gap > best}
     passed = best > max(GAPS_M) and bool(beyond)
-    detail = f"maximum {reductions[best]:.1f} % at {best * 1e3:g} mm"
+    detail = f"maximum {reductions[best]:z.1f} % at {best * 1e3:g} mm"
     if beyond:
-        detail += f"; {', '.join(f'{value:.1f} % at {gap * 1e3:g} mm' for gap, value in list(beyond.items())[:4])}"
+        detail += f"; {', '.join(f'{value:z.1f} % at {gap * 1e3:g} mm' for gap, value in list(beyond.items())[:4])}"
     return Statement(passed, best * 1e3, max(gaps) * 1e3), detail
 
 
@@ -186,7 +186,7 @@ def _frequency_unchanged(curves: Curves) -> Judgement:
     shifts = {gap: 100.0 * (1.0 - peak_hz(curves, gap) / without) for gap in GAPS_M}
     largest = max(abs(shift) for shift in shifts.values())
     detail = f"peak at {without:.3f} Hz without sphere; lower by " + ", ".join(
-        f"{shift:.2f}" for shift in shifts.values()
+        f"{shift:z.2f}" for shift in shifts.values()
     )
     found = Statement(largest < SHIFT_LIMIT_PERCENT, largest, SHIFT_LIMIT_PERCENT)
     return found, f"{detail} % with gaps of {', '.join(f'{gap * 1e3:g}' for gap in shifts)} mm"

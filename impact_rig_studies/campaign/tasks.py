@@ -86,12 +86,17 @@ Runner = Callable[[Sequence[T]], Generator[tuple[T, Sequence[Row]], None, None]]
 
 @attrs.frozen
 class TaskStore(Generic[T]):
-    """Store of the results of a study's tasks, as one file each in the study's directory."""
+    """Store of the results of a study's tasks, as one file each in the study's directory.
+
+    Attributes:
+        damaged: messages about damaged files found by `get`; their tasks must be measured again.
+    """
 
     directory: Path
     what: str  # command of the study, such as `map`, and name of the file that defines it
     folder: str  # name of the folder with a file for each task
     rooms: tuple[str, ...]  # packages whose code determines the results, in addition to `DECIDING`
+    damaged: list[str] = attrs.field(factory=list, init=False, eq=False)
 
     @property
     def file(self) -> Path:
@@ -132,15 +137,25 @@ class TaskStore(Generic[T]):
     def get(self, task: T) -> Sequence[Row] | None:
         """Return the stored rows of a task, or None if the task must be measured.
 
-        A task must be measured if it has no stored rows, or if they are damaged or other code measured them.
+        A task must be measured if it has no stored rows, if they are damaged (noted in `damaged`), or if other code
+        measured them.
         """
+        path = self._path(task)
         try:
-            found = json.loads(files.read_bytes(self._path(task), MAX_TASK_BYTES))
-            if found["code"] != self.code() or found["key"] != task.key:
+            found = json.loads(files.read_bytes(path, MAX_TASK_BYTES))
+            if found["key"] == task.key and found["code"] != self.code():
                 return None
-            return task.read([[_number(value) for value in row] for row in found["rows"]])
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            if found["key"] == task.key:
+                return task.read([[_number(value) for value in row] for row in found["rows"]])
+            why = "it holds the result of another task"
+        except FileNotFoundError:
             return None
+        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            why = f"no {error}" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
+        message = f"{path} is not a valid stored result: {' '.join(why.split())[:200]}"
+        if message not in self.damaged:
+            self.damaged.append(message)
+        return None
 
     def put(self, task: T, rows: Sequence[Row]) -> None:
         """Write the rows that are the result of a task into the task's file; an earlier result is replaced.
@@ -161,7 +176,7 @@ def _number(value: object) -> str | float:
     if isinstance(value, str):
         return value
     found = math.nan if value is None else float(value)  # type: ignore[arg-type]  # it raises
-    if math.isinf(found):
+    if math.isinf(found) or isinstance(value, bool):
         raise ValueError("not a valid measured number")
     return found
 

@@ -201,7 +201,7 @@ def run_lock(arguments: argparse.Namespace) -> int:
     sentence = (
         f"locked after {locked_s:.1f} s; {plus_minus(found.frequency_hz, found.u_frequency_hz)} Hz, "
         f"DT {plus_minus(found.dt, found.u_dt)} (2u); drift per minute: "
-        f"{slopes[0] * 60e3:+.2f} mHz, DT {slopes[1] * 60:+.3f}"
+        f"{slopes[0] * 60e3:+z.2f} mHz, DT {slopes[1] * 60:+z.3f}"
     )
     _tell(arguments, directory, table, sentence, content)
     return 0

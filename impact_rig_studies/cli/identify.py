@@ -214,7 +214,7 @@ def _print_paper(console: Console, fit: paper_fit.PaperFit, base: RigConfig) -> 
     for name, value in fit.fitted.items():
         table.add_row(name, f"{value:.5g}", figure(fit.u[name], ".2g"), f"{shipped[name]:.5g}")
     console.print(table)
-    reductions = ", ".join(f"{value:.1f}" for value in fit.points.values())
+    reductions = ", ".join(f"{value:z.1f}" for value in fit.points.values())
     rest = "" if fit.converged else "; the fit has not converged, along a valley without a minimum"
     console.print(
         f"reductions of the fit {reductions} %; rms difference from the paper: {fit.rms_points:.2f} percentage points "

@@ -116,7 +116,11 @@ def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Name
     if arguments.mapping:
         try:
             text = files.read_bytes(arguments.mapping, MAPPING_CHARACTERS).decode()
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
+            raise ConfigError(
+                f"cannot read the mapping: {files.reason_unreadable(error, arguments.mapping)}"
+            ) from error
+        except UnicodeDecodeError as error:
             raise ConfigError(f"{arguments.mapping} cannot be read: {error}") from error
         try:
             mapping = refined(mapping, text)

@@ -128,7 +128,7 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
 def _print_optimum(console: Console, best: optimum.Optimum) -> None:
     reading = best.reading
     console.print(
-        f"largest reduction of DT at {best.over} {best.value:.6g}: {reading.reduction_percent:.2f} % "
+        f"largest reduction of DT at {best.over} {best.value:.6g}: {reading.reduction_percent:z.2f} % "
         f"(DT {reading.dt:.2f}, {reading.regime}, {reading.impacts_per_cycle:g} impacts per cycle); from "
         f"{best.region[0]:.6g} to {best.region[1]:.6g} the reduction is smaller by at most {optimum.REGION_POINTS:g} "
         "percentage point"
@@ -137,7 +137,7 @@ def _print_optimum(console: Console, best: optimum.Optimum) -> None:
         "Change of this reduction if a value of the configuration is 1 % larger", left=("value",), right=("points",)
     )
     for name, points in best.points_per_percent.items():
-        table.add_row(name, figure(round(points, 3) + 0.0, "+.3f"))
+        table.add_row(name, figure(points, "+.3f"))
     console.print(table)
 
 
@@ -255,5 +255,5 @@ def _show(console: Console, done: plans.FinishedStudy) -> None:
     table = TextTable(right=[name.replace("_", " ") for name in shown])
     for row in special[:MOST_ROWS]:
         cells = [row[name] for name in shown]
-        table.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell or "-") for cell in cells))
+        table.add_row(*(f"{cell:z.5g}" if isinstance(cell, float) else str(cell or "-") for cell in cells))
     console.print(table)

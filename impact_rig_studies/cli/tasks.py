@@ -102,6 +102,8 @@ def measure(
         for task, _ in done:
             count += places(task)
             shown.show(count, task.describe())
+    for what in store.damaged:
+        console.print(f"{what}; it was measured again", style="yellow")
     return new, time.monotonic() - began
 
 

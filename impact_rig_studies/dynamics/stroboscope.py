@@ -39,6 +39,7 @@ from impact_rig.physics import SEGMENT, Motion, Simulation
 from impact_rig.physics.linear import constants
 from impact_rig.physics.model import Model, build
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig_studies.campaign import axes
 from impact_rig_studies.dynamics.orbits import FLIP, FOLD, STEP, SYMMETRY, Orbit, jacobian
 from impact_rig_studies.maps.measure import COORDINATES, MapRig, Reading
 from impact_rig_studies.maps.plan import CURRENT, FREQUENCY, GAP
@@ -439,14 +440,13 @@ def at(place: Place, over: str, value: float) -> Place:
         value: value of the parameter in its own unit.
 
     Raises:
-        ConfigError: the configuration has no parameter `over` that is a number, or `value` is out of its range. A
-            frequency or current is not checked.
+        ConfigError: the configuration has no parameter `over` that is a number, or `value` is out of its range.
     """
     config, frequency, amplitude = place
     if over == FREQUENCY:
-        return Place(config, value, amplitude)
+        return Place(config, axes.number(over, value, 0.0, 1e4), amplitude)
     if over == CURRENT:
-        return Place(config, frequency, value)
+        return Place(config, frequency, axes.number(over, value, 0.0))
     changed = from_flat(config, {"barriers.gap_m" if over == GAP else over: value})
     return Place(changed, frequency, amplitude)
 

@@ -46,8 +46,8 @@ class Cell:
 
 
 def number(value: float, spec: str = ".6g") -> Cell:
-    """Return a cell with a number, formatted by `spec`; an empty cell if the number is not finite."""
-    return Cell(format(value, spec), value) if math.isfinite(value) else Cell("", None)
+    """Return a cell with a number, formatted by `spec`, zero without a minus; empty if the number is not finite."""
+    return Cell(format(value, f"z{spec}"), value) if math.isfinite(value) else Cell("", None)
 
 
 def uncertain(value: float, u: float) -> Cell:

@@ -210,7 +210,7 @@ def draw_reductions(reductions: Reductions, path: Path) -> Path:
     for i, gap in enumerate(gaps):
         published = REDUCTION_PERCENT.get(gap, 0.0)
         for x, y, value in ((i - 0.2, published, published), (i + 0.2, ours[gap] + 2.0 * spread[gap], ours[gap])):
-            right.text(x, y, f"{value:.1f}", ha="center", va="bottom", fontsize=8)
+            right.text(x, y, f"{value:z.1f}", ha="center", va="bottom", fontsize=8)
     right.set_xticks(list(places), names)
     right.set(xlabel="gap (mm)", ylabel="reduction of DT (%)", title="Reduction by the sphere")
     right.legend(frameon=False, loc="upper left")

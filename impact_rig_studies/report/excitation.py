@@ -271,7 +271,7 @@ def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
     value, floor = factor * getattr(found, name), factor * found.floors[name]
     if abs(value) <= floor:
         return f"as requested, within the noise floor of {floor:.2g} {unit}"
-    return f"off by {value:+.2g} {unit} (noise floor {floor:.2g} {unit})"
+    return f"off by {value:+z.2g} {unit} (noise floor {floor:.2g} {unit})"
 
 
 def _draw_shock(found: Shocked) -> Drawn:

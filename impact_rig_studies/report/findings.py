@@ -51,17 +51,16 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
         return
     u = reductions.dt_uncertainty
     rows: list[list[str | Cell]] = [["none", uncertain(reductions.dt_no_sphere, u[NO_SPHERE]), "", "", ""]]
-    for gap in sorted(ours):
-        difference = round(errors[gap], 1) + 0.0
-        rows.append(
-            [
-                number(gap * 1e3, "g"),
-                uncertain(reductions.dt[gap], u[gap]),
-                number(REDUCTION_PERCENT[gap], ".1f"),
-                uncertain(ours[gap], spread[gap]),
-                Cell(f"{difference:+.1f}", errors[gap]),
-            ]
-        )
+    rows += [
+        [
+            number(gap * 1e3, "g"),
+            uncertain(reductions.dt[gap], u[gap]),
+            number(REDUCTION_PERCENT[gap], ".1f"),
+            uncertain(ours[gap], spread[gap]),
+            Cell(f"{errors[gap]:+z.1f}", errors[gap]),
+        ]
+        for gap in sorted(ours)
+    ]
     headings = ["gap (mm)", f"DT at {FREQUENCY_HZ:g} Hz", "paper (%)", "ours (%)", "difference"]
     yield content.table("reductions", headings, rows, range(5))
     largest = content.fact("max_abs_error_points", reductions.max_abs_error(), ".2f")

@@ -35,7 +35,7 @@ from impact_rig.errors import ConfigError, SimulationError
 from impact_rig.physics import Simulation
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.dynamics import orbits, plan
-from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope
+from impact_rig_studies.dynamics.stroboscope import Place, Stroboscope, at
 from impact_rig_studies.maps import exponent
 from impact_rig_studies.maps.measure import NOTHING, MapRig, Settings
 from impact_rig_studies.prediction import LinearRig
@@ -393,6 +393,12 @@ def marched(place: Place, over: str, values: np.ndarray) -> float:
             break
         last = value
     return last
+
+
+@pytest.mark.parametrize(("over", "value"), [("frequency_hz", 0.0), ("frequency_hz", 2e4), ("current_a", -0.1)])
+def test_a_drive_out_of_range_is_rejected_as_a_parameter(over, value):
+    with pytest.raises(ConfigError, match=f"{over} must be > 0"):
+        at(Place(RigConfig(), 9.1, 0.52), over, value)
 
 
 def test_a_section_of_a_motion_that_cannot_be_resolved_is_empty(tmp_path, monkeypatch):

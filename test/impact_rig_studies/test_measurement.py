@@ -709,3 +709,14 @@ def test_sines_without_a_dt_are_reported_and_fail_the_command(
     printed = capsys.readouterr().out
     assert f"no DT from these scans, status {reason}" in printed
     assert not re.search(r"\bnan\b", printed)
+
+
+def test_a_mapping_that_cannot_be_read_is_named_without_an_error_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "one.csv"
+    file.write_text("time,x\n0,1\n0.1,2\n0.2,1\n")
+    for mapping, why in ((tmp_path, "Is a directory"), (tmp_path / "none.yaml", "No such file or directory")):
+        words = ["import", str(file), "--mapping", str(mapping), "--output", str(tmp_path / "run")]
+        assert main(words) == 1
+        assert capsys.readouterr().err.strip().endswith(f"cannot read the mapping: {why} ({mapping})")

@@ -97,6 +97,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="[]"), "studies.s.frequencies_hz must be a list of 1 to"),
         (study(frequencies_hz="[9.1, fast]"), "studies.s.frequencies_hz[1] must be a number, got 'fast'"),
         (study(frequencies_hz="[9.1, 500]"), "studies.s.frequencies_hz must be >= 5 and <= 200 Hz, got 500"),
+        (study(frequencies_hz="[1, true]"), "studies.s.frequencies_hz[1] must be a number, got True"),
         (study(frequencies_hz="[9.1, 9.1]"), "must not repeat a value, got 9.1 twice"),
         (study(frequencies_hz="{from: 9, to: 8, step: 1}"), "frequencies_hz.to must be >= from = 9, got 8"),
         (study(frequencies_hz="{from: 9, to: 10}"), "must have from, to and step; missing: step"),
@@ -119,6 +120,14 @@ def test_an_invalid_file_is_rejected_with_key_value_range_and_file_name(write, t
         load_campaign(write(text))
     assert words in str(caught.value)
     assert str(caught.value).endswith("c.yaml)")
+
+
+def test_the_points_of_a_study_are_those_of_its_jobs(write):
+    for direction in ("reset", "up", "up_down"):
+        text = study(frequencies_hz="[9.0, 9.1]", gaps_m="[0.002, 0.004]", direction=direction, repetitions="3")
+        campaign = load_campaign(write(text))
+        jobs = [one.job for one in campaign.planned()]
+        assert campaign.studies[0].points == sum(job.repetitions * len(job.plan().points()) for job in jobs), direction
 
 
 def test_a_campaign_can_name_its_rig_and_change_it(write, tmp_path):

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from pathlib import Path
 
 import attrs
@@ -229,9 +230,25 @@ def test_a_damaged_line_or_one_of_other_code_is_measured_again(small, tmp_path):
     good = json.loads(files_of(directory)[name])
     for spoilt in ("{", json.dumps({**good, "code": "other"}), json.dumps({**good, "rows": [[1], [2]]})):
         (tmp_path / "lines" / name).write_text(spoilt)
-        assert run.store(tmp_path).get(line) is None
+        store = run.store(tmp_path)
+        assert store.get(line) is None
+        assert store.get(line) is None
+        assert len(store.damaged) == ("other" not in spoilt)
     (tmp_path / "lines" / name).write_text(json.dumps(good))
     assert run.store(tmp_path).get(line) == measure_line(line)
+
+
+def test_a_damaged_line_is_reported_when_it_is_measured_again(small, tmp_path, capsys):
+    _, directory = small
+    copied = tmp_path / "map"
+    shutil.copytree(directory, copied)
+    damaged = next((copied / "lines").iterdir())
+    damaged.write_text("{")
+    assert main(["map", str(copied / "map.yaml"), "--output", str(copied), "--no-figures"]) == 0
+    shown = "".join(capsys.readouterr().out.split())  # lines are wrapped
+    assert f"{damaged.name}isnotavalidstoredresult:Expectingpropertyname" in shown
+    assert "itwasmeasuredagain" in shown
+    json.loads(damaged.read_text())
 
 
 def test_a_downward_line_starts_at_its_highest_value(small):
