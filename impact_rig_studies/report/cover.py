@@ -63,10 +63,10 @@ def versions(done: Finished) -> dict[str, object]:
         RecordingError: the file cannot be read.
     """
     try:
-        found = json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"{done.directory / run.PROVENANCE_FILE} cannot be read: {error}") from error
-    return dict(found)
+        return dict(json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError(f"{done.directory / run.PROVENANCE_FILE} cannot be read: {why}") from error
 
 
 def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:
@@ -89,7 +89,7 @@ def written(done: Finished) -> str:
     """Return the time at which the results of a campaign were written, as in its `summary.json`; empty if unknown."""
     try:
         return str(json.loads((done.directory / SUMMARY_FILE).read_text(encoding="utf-8")).get("written", ""))
-    except (OSError, ValueError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return ""
 
 

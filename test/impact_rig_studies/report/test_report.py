@@ -19,6 +19,7 @@ import csv
 import json
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from urllib.parse import unquote
 
 import attrs
@@ -31,6 +32,7 @@ from impact_rig.arithmetic import ARITHMETIC
 from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.drawing import DARK, NAMES, PERIODIC, QUIET
+from impact_rig.errors import RecordingError
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.system.files import config_dir
@@ -40,7 +42,7 @@ from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.campaign.plan import load_campaign
 from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.campaign.statements import variations
-from impact_rig_studies.report import dt
+from impact_rig_studies.report import cover, dt
 from impact_rig_studies.report.studies import predicted, reduction_over_gap
 from qualification.check_report import VIEWS, shown, troubles
 
@@ -405,3 +407,13 @@ def test_phases_on_both_sides_of_half_a_turn_are_visible_in_the_figure(monkeypat
         drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in axis.lines])
         assert len(drawn)
         assert np.all((drawn > low) & (drawn < high))
+
+
+@pytest.mark.parametrize("content", ["[1]", "3", "null", "{", "[" * 100_000])
+def test_a_damaged_description_of_a_campaign_is_reported_in_one_line(tmp_path, content):
+    done = SimpleNamespace(directory=tmp_path)
+    for name in ("provenance.json", "summary.json"):
+        (tmp_path / name).write_text(content)
+    with pytest.raises(RecordingError, match=r"provenance\.json cannot be read: "):
+        cover.versions(done)
+    assert cover.written(done) == ""
