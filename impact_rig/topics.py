@@ -290,9 +290,9 @@ def envelope(channel: str, unit: str) -> Topic:
 
 
 def spectrum(channel: str, unit: str) -> Topic:
-    """Return the topic of a channel's amplitude spectrum over 4 s, once a second, for plotters.
+    """Return the topic of a channel's spectrum of peak amplitudes over the last 4 s, once a second, for plotters.
 
-    The stamp of a message is that of its last scan.
+    The frequencies end at 250 Hz. The stamp of a message is that of its last scan.
     """
     return Topic(
         f"plot/spectrum/{channel}",

@@ -113,7 +113,8 @@ def kept_token() -> str:
     """Return the secret token that the address of the page contains, so that only this user can open the page.
 
     The token is created once and stored in a file that only the user can read, so that an open page can reconnect after
-    a restart of the lab. If the token cannot be stored, it is valid for this start only.
+    a restart of the lab. If the token cannot be stored, it is valid for this start only. A stored token that other
+    users can read is replaced.
     """
     path = files.state_dir("") / "lab_token"
     with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -155,7 +156,7 @@ class PageSession:
         self._loop = asyncio.get_running_loop()
 
     async def run(self) -> None:
-        """Serve the page until it disconnects, or sends too many invalid requests."""
+        """Serve the page until it disconnects, or sends too long a message or `MAX_INVALID` invalid requests."""
         sender = asyncio.create_task(self._send())
         try:
             await self._listen()
@@ -202,7 +203,10 @@ class PageSession:
         self._answered.set()
 
     async def _send(self) -> None:
-        """Send replies at once, the state at intervals, and a picture as soon as the page has drawn an earlier one."""
+        """Send replies at once, the state at intervals, and a picture as soon as the page has drawn an earlier one.
+
+        A page that does not draw receives a picture every `PATIENCE_S`.
+        """
         while not self._socket.closed:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._answered.wait(), 1.0 / FASTEST_HZ)

@@ -192,8 +192,8 @@ class Pace:
         clock: clock for real time [s].
 
     Attributes:
-        speed: speed from the last two different readings, 0 before there are two. While the readings do not change it
-            keeps its value, unlike the result of `read`.
+        speed: speed from the last two different readings, 0 before there are two, also of a restarted rig. While the
+            readings do not change it keeps its value, unlike the result of `read`.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -282,7 +282,7 @@ def _fault_form(kind: str) -> dict[str, Any]:
 
 
 def figure(value: str | None) -> float | None:
-    """Convert a value of the diagnostics to a number; None if it is missing or not a number."""
+    """Convert a value of the diagnostics to a number, which may be NaN; None if it is missing or another text."""
     try:
         return None if value is None else float(value)
     except ValueError:
@@ -421,7 +421,7 @@ class Source(abc.ABC):
     def tell(self, parts: Mapping[str, Callable[[], Any]], values: Mapping[str, Any]) -> None:
         """Update the snapshot with the results of functions, and request the prediction for the present settings.
 
-        The prediction is requested only while a page is open and `values` is not empty.
+        The prediction is requested only while a page is open, the drive (`applied`) is known and `values` is not empty.
 
         If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
 

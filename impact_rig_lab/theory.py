@@ -68,7 +68,7 @@ def closed_form(values: Mapping[str, Any]) -> list[list[float]]:
         values: parameters of the rig by name.
 
     Returns:
-        Pairs [frequency in Hz, DT]; none if the parameters are unknown.
+        Pairs [frequency in Hz, DT]; none if the natural frequency or the damping ratio is unknown or 0.
     """
     natural, damping = values.get("structure.natural_frequency_hz"), values.get("structure.damping_ratio")
     if not natural or not damping:
@@ -124,7 +124,9 @@ def predicted(values: Mapping[str, Any], amplitude: float) -> dict[str, Any]:
 
 
 def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> str:
-    """Return a sentence for the page if the measured motion is not the predicted one; otherwise an empty text.
+    """Return a sentence for the page if the measured motion has other impacts per cycle than the predicted one.
+
+    Otherwise the text is empty, also without a prediction. Differences up to `OTHER_MOTION` do not count.
 
     Args:
         prediction: result of `predicted`.

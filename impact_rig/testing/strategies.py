@@ -106,13 +106,14 @@ class Pause:
 class Silence:
     """Silence of the controller for `blocks` blocks.
 
-    The command timeout is half of this time meanwhile, so the rig ramps down after half of the blocks.
+    The command timeout is half of this time meanwhile. It counts from the last command, so the rig ramps down after
+    half of the blocks at the latest.
     """
 
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Advance the rig by `blocks` blocks; meanwhile, a command times out after half of this rig time."""
+        """Advance the rig by `blocks` blocks; meanwhile, the command timeout is half of this rig time."""
         before = rig.config.output.command_timeout_s
         seconds = self.blocks * rig.block_scans / rig.rate_hz
         rig.configure({"output.command_timeout_s": 0.5 * seconds})
@@ -286,8 +287,9 @@ def schedules(
         parameters: strategies for the values of parameters of the nodes, by name of the parameter.
         messages: strategies for the field `data` of messages from other nodes, by name of the topic.
         services: names of services of the nodes; they are called with an empty request.
-        most_actions: maximum number of actions.
-        most_blocks: maximum length of one disturbance; overlapping ones can last longer.
+        most_actions: maximum number of actions after a `LateJoin`, with which a scenario may begin.
+        most_blocks: maximum length of a `LateJoin` or of one disturbance of the transport; overlapping ones can last
+            longer. Actions on the rig last up to `MOST_BLOCKS` blocks.
     """
     blocks, after = st.integers(1, most_blocks), st.integers(0, 6)
     inputs = (*topics, *(messages or {}))
@@ -353,8 +355,9 @@ def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
     """Play a scenario on a rig with the pipeline that `check` connects, then run the final assertions of `check`.
 
     `LateJoin` actions at the begin are done before `check` is called. The rig advances by a block after each further
-    action. At the end it advances until all faults are over, by at most `MOST_BLOCKS`, and then by `AFTERWARDS` blocks.
-    An action that the rig rejects has no effect.
+    action. At the end the disturbances of the transport end (`LocalRigWithNodes.calm`). The rig advances until all
+    faults are over, by at most `MOST_BLOCKS`, and then by `AFTERWARDS` blocks. An action that the rig rejects has no
+    effect.
     """
     rest = list(actions)
     while rest and isinstance(rest[0], LateJoin):

@@ -223,7 +223,7 @@ def start_local(job: Job) -> RigDriver:
     """Return a new rig with its analysis in this process, configured for a job.
 
     Raises:
-        ConfigError: the job's values are jointly infeasible.
+        ConfigError: a value of the job is wrong, or the values are jointly infeasible.
     """
     return LocalRig(job.config(), analysis=job.labelled_settings(), also=TRACED)
 

@@ -68,7 +68,8 @@ class Reductions:
     def of(cls, rows: Mapping[float, NDArray[np.void]], calibration: Calibration) -> Reductions:
         """Compute the reductions from measurements.
 
-        If the measurement without the sphere is missing, there are no reductions, and `dt_no_sphere` is NaN.
+        If the measurement without the sphere is missing, there are no reductions, `dt_no_sphere` is NaN, and `dt` is
+        empty.
 
         Args:
             rows: settled rows of `transmissibility/table` by gap, at least one for each; key `NO_SPHERE` means without
