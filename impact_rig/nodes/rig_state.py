@@ -69,7 +69,7 @@ class RigState:
     def word(self) -> NodeState:
         """Return the state of the rig, with its reason: the most severe `states.RigWord` that applies now.
 
-        Without a problem it is DRIVING or AT_REST.
+        If no problem causes a state, it is DRIVING or AT_REST.
         """
         session = self._session
         reason_not_ready = session.reason_not_ready()

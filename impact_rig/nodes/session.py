@@ -318,7 +318,7 @@ class Session:
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
     def controllers(self) -> list[str]:
-        """Return the names of the nodes that publish samples of the drive (`shaker/waveform`), sorted."""
+        """Return the names, without namespace, of the nodes that publish samples of the drive, sorted."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
         return sorted({info.node_name for info in found})
 
@@ -362,7 +362,8 @@ class Session:
 
         It is None if nothing prevents the start, if the rig has started, or if the node is not active. While another
         rig publishes the same topics, this rig waits: two rigs in one namespace would obey the same commands and
-        publish into the same recording. The rig that started first continues.
+        publish into the same recording. The rig that started first continues. If no other publishes, this method also
+        tries to take the lock of the namespace.
         """
         if not self._active or self.rig is not None:
             return None
@@ -637,7 +638,8 @@ class Session:
     def pause(self, done: Done) -> None:
         """Stop rig time at once; call `done` with success when the peers have acknowledged all published blocks.
 
-        `done` is also called with success if a peer is silent, as that peer may never acknowledge them.
+        `done` is also called with success if a peer is silent, as that peer may never acknowledge them. Steps under way
+        wait for the next `step`, or in lockstep for `resume`.
 
         Raises:
             CommandError: no rig has started.
@@ -654,7 +656,7 @@ class Session:
         The rig does not wait for peers that are silent now until they acknowledge again. If the controller is silent,
         its stream ends after the samples that have arrived. Waiting requests to pause are answered with an error, and
         so are those for steps unless the time mode is `lockstep`. A rig that is not paused and waits for neither is not
-        affected.
+        affected; `done` is called with success even then.
 
         Raises:
             CommandError: no rig has started.

@@ -471,8 +471,8 @@ def run(
 
     The result is DONE, NEED_ROOM, STUCK or UNSOLVED, see `DONE`. The index is that of the segment in which the
     simulation stopped, or the number of segments after DONE. After NEED_ROOM, call again with this index and a larger
-    workspace. `first_tick` is the number of the tick of `segments[0]`, counted since the reset, also if `segment` is
-    not 0.
+    workspace of the same content. `first_tick` is the number of the tick of `segments[0]`, counted since the reset,
+    also if `segment` is not 0.
 
     Work, and losses outside the contacts, are computed only if `account` is true; this takes as much processor time as
     the flights themselves.

@@ -108,7 +108,8 @@ class FunctionGenerator:
     Attributes:
         frequency_hz: commanded frequency from the next tick on; for a chirp, its first frequency.
         tick: number of ticks generated so far.
-        stream: player of a stream's samples, None with any other waveform. The amplitude of a stream is 0.
+        stream: player of a stream's samples, None with any other waveform. The amplitude of a stream is 0, except while
+            it ramps to zero after a stop.
 
     Raises:
         CommandError: the upper end of a random drive's band is too high for noise with one value per tick.

@@ -78,7 +78,7 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
     if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free; otherwise every contact is integrated.
 
     Raises:
-        ConfigError: the masses and stiffnesses have no usable modes.
+        ConfigError: structure and shaker have no usable modes or no position of rest.
     """
     c, kind = constants(config), kind or config.drive.kind
     mass = sphere_mass_kg(config.sphere)

@@ -279,9 +279,10 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
     """Compute from the table the outcome of the contact that begins in the state s; return whether it may be used.
 
-    `table.outcome` then holds it, in units made of m_eff, v0 and t_0. It may be used if the contact is in the range of
-    the table and ends within `time_left` seconds, and before the polynomials of `step` become inexact. Otherwise the
-    contact must be integrated. `step` must be expanded about s, and `t_0` is the contact's time scale [s].
+    `table.outcome` then holds it, in units made of m_eff, v0 and t_0. It may be used if the approach is not slower than
+    `speed_floor`, the contact is in the range of the table, and it ends within `time_left` seconds and before the
+    polynomials of `step` become inexact. Otherwise the contact must be integrated. `step` must be expanded about s, and
+    `t_0` is the contact's time scale [s].
     """
     speed = s.speed
     if speed < p.speed_floor:  # a limited approach speed would be a scale of its own

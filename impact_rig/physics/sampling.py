@@ -860,8 +860,8 @@ TABULATED_PIECES = 3
 def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill `tick` and `offset` [s] with the instants between which every quantity is smooth; return their number.
 
-    These are the instants of the states in the history, and two instants inside each tabulated contact. The arrays must
-    have room for TABULATED_PIECES instants per state.
+    These are the instants of the states in the history without its last one, the end of the motion, and two instants
+    inside each tabulated contact. The arrays must have room for TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

@@ -107,10 +107,10 @@ class Motion:
     def sample(self, tick: NDArray[np.int64], offset_s: NDArray[np.float64]) -> NDArray[np.void]:
         """Return all quantities (dtype `SAMPLE`, SI) at instants (tick, offset into it), in the shape of the instants.
 
-        The evaluation is fastest if the instants are in the order of time.
+        The evaluation is fastest if the instants are in the order of time. Offsets beyond the tick are not detected.
 
         Raises:
-            ValueError: an instant is in none of the motion's ticks, or the shapes differ.
+            ValueError: a tick is not one of this motion's, or the shapes differ.
         """
         found = np.moveaxis(self.quantities(QUANTITIES, tick, offset_s), 0, -1)
         rows: NDArray[np.void] = np.ascontiguousarray(found).view(SAMPLE)[..., 0]
@@ -120,7 +120,8 @@ class Motion:
         """Return the quantity of `SAMPLE` called `name`, in SI, at instants (tick, offset into it), in the same shape.
 
         Raises:
-            ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
+            ValueError: a tick is not one of this motion's, the shapes differ, or no quantity has such a name. Offsets
+                beyond the tick are not detected.
         """
         column: NDArray[np.float64] = self.quantities((name,), tick, offset_s)[0]
         return column
@@ -133,7 +134,8 @@ class Motion:
         This is faster than one call of `quantity` for each.
 
         Raises:
-            ValueError: an instant is in none of the motion's ticks, the shapes differ, or no quantity has such a name.
+            ValueError: a tick is not one of this motion's, the shapes differ, or no quantity has such a name. Offsets
+                beyond the tick are not detected.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
@@ -165,7 +167,8 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a piece is in none of the motion's ticks, or no quantity has such a name.
+            ValueError: a tick is not one of this motion's, or no quantity has such a name. Times beyond the tick are
+                not detected.
         """
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)
@@ -199,7 +202,8 @@ class Motion:
         """Return (tick, offset) of the instants between which every quantity is smooth, in order.
 
         These are the instants of all stored states, which are events and steps of contacts, and two instants inside
-        each tabulated contact, which is too long for one polynomial of `polynomials`.
+        each tabulated contact, which is too long for one polynomial of `polynomials`. The end of the motion is not
+        among them.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -311,14 +315,14 @@ class Simulation:
         """Change the configuration: the structure keeps its motion, and the sphere is at rest at `sphere.start` again.
 
         With another kind of drive the structure starts at rest at zero as well. An inferior base that `pluck` has
-        locked stays locked. The energy account begins again.
+        locked stays locked. The energy account begins again, and the count of ticks continues.
 
         Args:
             config: the new configuration.
             model: the model of `config`, if it is already built; ignored while the base is locked.
 
         Raises:
-            ConfigError: the masses and stiffnesses have no usable modes; nothing is changed.
+            ConfigError: structure and shaker have no usable modes or no position of rest; nothing is changed.
         """
         y = self._structure()
         if self.locked:
@@ -398,8 +402,9 @@ class Simulation:
         """Simulate the drive segments (dtype `flight.SEGMENT`), the first of which begins a tick; return their motion.
 
         Raises:
-            SimulationError: the motion makes no progress, a step of a contact cannot be solved, or a segment needs more
-                than `MOST_STATES` states. To continue, set the state again, for example by `reset`.
+            SimulationError: the motion makes no progress, a step of a contact cannot be solved, the contact law raised
+                an exception, or a segment needs more than `MOST_STATES` states. To continue, set the state again, for
+                example by `reset`.
         """
         segments = np.ascontiguousarray(segments, SEGMENT)
         if self.locked:

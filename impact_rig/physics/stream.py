@@ -145,7 +145,8 @@ class Stream:
         buffer: buffered samples, by number.
         played: number of the next sample to play, counted from 0; all earlier ones have taken effect or were replaced.
         state: state of the stream.
-        missing: number of samples that did not arrive in time and were replaced; those after an end do not count.
+        missing: number of samples that did not arrive in time and were replaced. Those before the first sample, and
+            those after the controller ended the stream or a stop, do not count.
         events: events that the owner of the stream has not collected yet.
     """
 
@@ -198,7 +199,7 @@ class Stream:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(
                 f"the block of samples is rejected, because it reaches {ahead:.6g} s ahead of the rig, beyond "
-                f"drive.stream_buffer_s = {self._buffer_s:g} s: send a shorter block now, and the other samples later"
+                f"drive.stream_buffer_s = {self._buffer_s:g} s: send the samples beyond that later"
             )
         self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))

@@ -132,7 +132,7 @@ class ContactLaw:
         raise NotImplementedError
 
     def realised_restitution(self) -> float:
-        """Return the restitution that this law really gives, from a closed form; every law defines this."""
+        """Return the restitution that this law really gives, without simulating a contact; every law defines this."""
         raise NotImplementedError
 
 

@@ -90,7 +90,7 @@ class KelvinVoigt(ContactLaw):
         return Force(_spring_damper, stiffness, damping, 1.0, self.restitution, lets_go=self.release == "force")
 
     def realised_restitution(self) -> float:
-        """Return the restitution: e if `release` is `position` (at zero indentation), larger if `force` (zero force).
+        """Return the restitution: e if `release` is `position` (δ = 0); with `force` (at F = 0), larger unless e = 1.
 
         With decay rate β = −ln(e)/t_c and ω_d = π/t_c, the force vanishes where tan(ω_d t) = −2 β ω_d / (ω_d² − β²).
         """
