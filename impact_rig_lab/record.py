@@ -142,8 +142,10 @@ class MotionBuffer:
     Attributes:
         states: rows of time, three positions x_b, x_1, x_2 and their velocities v_b, v_1, v_2. The indices b, 1 and 2
             denote inferior base, superior base and sphere.
-        impacts: rows of time, wall, approach speed, separation speed, peak force of the true impacts.
-        detected: rows of time, peak [m/s²], sign of the impacts detected by the accelerometer.
+        impacts: rows of time, wall (−1 left, +1 right), approach speed, separation speed, peak force of the true
+            impacts.
+        detected: rows of time, peak [m/s²], sign (+1 if the right wall is struck, else −1) of the impacts detected by
+            the accelerometer.
     """
 
     def __init__(self) -> None:
