@@ -57,7 +57,8 @@ class Channel:
     def to_si(self, name: str) -> tuple[float, str]:
         """Return the factor that converts values of the signal to SI for the channel `name`, and the SI unit.
 
-        `scale`, `sign` and `offset` are not part of the factor.
+        `scale`, `sign` and `offset` are not part of the factor. An empty unit means V if there is a sensitivity,
+        otherwise the first of `UNITS`, such as m for a laser.
 
         Raises:
             ConfigError: the unit or the sensitivity is unknown, or belongs to another quantity.
@@ -123,7 +124,8 @@ class Mapping:
 def refined(mapping: Mapping, text: str) -> Mapping:
     """Return a mapping in which the values that a YAML text states replace those of `mapping`; all others are kept.
 
-    The text is that of the option `--mapping`. A channel that is null in it is removed. An example:
+    The text is that of the option `--mapping`. A channel also keeps those of its keys that the text does not state; a
+    channel that is null in the text is removed. An example:
 
         rate_hz: 5000
         frequency: 9.1               # Hz, or the name of a column
@@ -132,7 +134,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
           laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, sensitivity_uncertainty: 0.01}
 
     Raises:
-        ConfigError: a key or value is invalid; the message names both.
+        ConfigError: the text is not plain YAML, or one of its keys or values is invalid.
     """
     try:
         content = budget.load_yaml(text, MAPPING_CHARACTERS)
@@ -170,7 +172,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
 
 
 def as_yaml(mapping: Mapping) -> str:
-    """Return a mapping as a YAML text, from which `refined` restores it, except for `guessed`."""
+    """Return a mapping as a YAML text, from which `refined` restores it, except for `guessed`, in an empty mapping."""
     content: dict[str, object] = {
         "channels": {
             name: {
@@ -207,7 +209,7 @@ def _channel(name: str, given: AnyMapping[str, object], known: Channel | None) -
     figures = {k: _number(f"channels.{name}.{k}", given[k]) for k in CALIBRATION if k in given and k not in _OWN}
     if known is None:
         if "column" not in values:
-            raise ConfigError(f"channels.{name}.column, the name of a signal in the file, is missing")
+            raise ConfigError(f"channels.{name}.column is missing: state the name of a signal in the imported file")
         known = Channel(column=str(values["column"]))
     return attrs.evolve(known, **values, calibration={**known.calibration, **figures})  # type: ignore[arg-type]
 

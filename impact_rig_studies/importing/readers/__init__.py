@@ -94,7 +94,7 @@ FORMATS: Mapping[str, Format] = {
 
 
 def format_of(path: Path, content: bytes) -> Format:
-    """Return the format of a file by its suffix; for `.mat` the content distinguishes versions 5 and 7.3.
+    """Return the format of a file by its suffix in any case; for `.mat` the content distinguishes versions 5 and 7.3.
 
     Raises:
         RecordingError: the suffix is unknown.
@@ -143,7 +143,7 @@ def _bag_bytes(path: Path) -> int:
 
     Raises:
         RecordingError: the bag is empty, or one of its files is not a regular file.
-        BudgetError: the bag is larger than the budget.
+        BudgetError: the bag is larger than `FILE_BYTES`.
     """
     members = sorted(path.iterdir()) if path.is_dir() else [path]
     wrong = next((one for one in members if not one.is_file()), None)

@@ -51,7 +51,7 @@ MOST_ELEMENTS = 32  # longest array in a message; each element is a signal
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a file with a suffix of bags, or a directory with such a file or a `metadata.yaml`."""
+    """Return whether a path has a suffix of bags, or if it is a directory, contains such a file or `metadata.yaml`."""
     if path.is_dir():
         return any(one.name == "metadata.yaml" or one.suffix.lower() in SUFFIXES for one in path.iterdir())
     return path.suffix.lower() in SUFFIXES
@@ -60,11 +60,13 @@ def is_bag(path: Path) -> bool:
 def read(path: Path, file_bytes: int, library: ModuleType) -> ImportedSignals:
     """Read the numbers in the messages of a bag as signals, one per topic and field.
 
-    A topic is left out, with the reason for the user, if one of its messages cannot be decoded, or has other fields
-    than the first one. The result has no signals if no message has numbers.
+    A topic is left out completely, with the reason for the user, if its messages have no numbers or no schema. It is
+    also left out if one of them cannot be decoded, has other fields than the first one, or is a cloud of several rows
+    without times. The result has no signals if all topics are left out.
 
     Raises:
-        BudgetError: the messages have more numbers than a bag of `file_bytes` bytes may contain.
+        BudgetError: the messages have more numbers than a bag of `file_bytes` bytes may contain, or more than
+            `limits.COLUMNS` fields.
     """
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # of an extra, loaded with the library
 
@@ -131,7 +133,7 @@ class _Series:
     def add(self, message: Any, log_ns: int) -> None:
         """Add the numbers of a message; if its fields differ from those of earlier ones, only set `left_out`.
 
-        `log_ns` is the time of receipt, used if the message has no stamp.
+        `log_ns` is the time of receipt, used if the message has no stamp or a stamp of zero.
         """
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0

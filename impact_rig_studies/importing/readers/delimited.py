@@ -67,8 +67,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
     Raises:
         RecordingError: more than `HEADER_LINES` lines are before the first row of numbers, there is no such row, or a
-            later row does not fit the first one; the message names its line.
-        BudgetError: the table has more values than a file of this size may contain.
+            later row does not fit the first one.
+        BudgetError: the table has more values than a file of this size may contain, or too many columns.
     """
     text, encoding = decode(content)
     lines = split_lines(text)
@@ -156,7 +156,10 @@ def _seen_instead(lines: Sequence[str]) -> str:
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
-    """Return up to `SAMPLED_LINES` lines, without comments, from a file's second half, where headings are unlikely."""
+    """Return up to `SAMPLED_LINES` lines spread over a file's second half, where headings are unlikely.
+
+    Empty lines and comments are not returned.
+    """
     usable = [number for number in range(len(lines) // 2, len(lines)) if lines[number].strip()]
     usable = usable[: max(1, len(usable) - len(usable) // 20)]
     picked = usable[:: max(1, len(usable) // SAMPLED_LINES)][:SAMPLED_LINES]
@@ -166,7 +169,8 @@ def _sample(lines: Sequence[str]) -> list[str]:
 def split(line: str, delimiter: str | None) -> list[str]:
     """Return the cells of a line, without blanks and double quotes around them.
 
-    A `delimiter` of None means blanks; delimiters within double quotes do not separate.
+    A `delimiter` of None means blanks; delimiters within double quotes do not separate. In lines of more than
+    `LONGEST_QUOTED` characters, quotes have no meaning.
     """
     if '"' in line and len(line) <= LONGEST_QUOTED:
         if delimiter is None:
@@ -176,7 +180,7 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number in any notation, a missing number or a time."""
+    """Return whether a cell is a number in any notation, a missing number (also an empty cell) or a time."""
     return cells.number(cell) is not None or cells.number(cell, ",") is not None or cells.is_time(cell)
 
 
@@ -199,7 +203,7 @@ def is_row(line: str, layout: Layout) -> bool:
 
 
 def _is_other_row(line: str, layout: Layout) -> bool:
-    """Return whether a line is a row of numbers with more or fewer cells than the layout."""
+    """Return whether a line is a row of at least two cells, all filled with numbers, but not as many as the layout."""
     row = [] if line.startswith(COMMENTS) else split(line, layout.delimiter)
     return 1 < len(row) != layout.width and all(cell and _is_value(cell) for cell in row)
 
@@ -225,7 +229,7 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
 
     Returns:
         A unique name for each column, the known units by name, and the lines that contain neither names nor units. The
-        name of a column without a heading is `column_` and its position from 0.
+        name of a column without a heading is `column_` and its position from 0. A repeated name gets its position, too.
     """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []
@@ -293,12 +297,13 @@ def read_rows(
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
     Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times. The first
-    column contains integers if one of its numbers is a whole number of at least 2^53, such as a stamp.
+    column contains integers if each of its cells is a whole number from 2^53 to 2^63, such as a stamp. Missing
+    numbers are NaN; empty lines are skipped.
 
     Raises:
-        RecordingError: a row has another number of cells than the first one, or a cell in a column of numbers is not a
-            number; the message names the line, counted from 1. Or a column has numbers in some rows, and words or times
-            in others.
+        RecordingError: a row has another number of cells than the first one (surplus empty ones do not count), or a
+            cell in a column of numbers is not a number; the message names the line, counted from 1. Or a column has
+            numbers in one part of the table, and times in another.
     """
     step = max(1, CHUNK_CELLS // layout.width)
     parts: list[list[NDArray[np.generic]]] = [[] for _ in range(layout.width)]
@@ -331,7 +336,8 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
     `chunk` contains the lines with their indices in the file. The indices of comments are added to `skipped`.
 
     Raises:
-        RecordingError: a line has another number of cells than the layout, or a cell is not a number.
+        RecordingError: a line has another number of cells than the layout (surplus empty ones do not count), or a cell
+            in a column of numbers is not a number.
     """
     plain = [(number, line) for number, line in chunk if line.strip()]
     if not (layout.words or layout.empty) and not any('"' in line or "_" in line for _, line in plain):

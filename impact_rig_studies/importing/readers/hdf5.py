@@ -52,7 +52,7 @@ class Hdf5Tree:
         return self.library.File(io.BytesIO(content), "r")
 
     def members(self, group: Any) -> Iterator[tuple[str, Any]]:
-        """Yield names and objects of the first `COLUMNS` members of a group; links are not followed.
+        """Yield names and objects of the first `COLUMNS` members of a group; soft and external links are not followed.
 
         What is not yielded is noted in `left_out`.
         """
@@ -73,7 +73,7 @@ class Hdf5Tree:
 
         Raises:
             RecordingError: the data are in another file or in other datasets.
-            BudgetError: all datasets read so far have more values than a file of this size may contain.
+            BudgetError: with this dataset, those read have more values than a file of this size may contain.
         """
         if dataset.external:
             raise RecordingError(

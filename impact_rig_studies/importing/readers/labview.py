@@ -66,7 +66,8 @@ class _Segment:
     def text(self, key: str, channel: int) -> str:
         """Return the text that the header states for a channel under a key; empty if there is none.
 
-        If each channel has an X column of its own, every second cell of the header belongs to such a column.
+        Channels count from 0. If each has an X column of its own, every second cell of the header belongs to such a
+        column; these cells are skipped if they are all empty.
         """
         values = self.header.get(key, [])
         if any(name.startswith(X_VALUE) for name in self.names[1:]) and not any(one.strip() for one in values[1::2]):
@@ -75,7 +76,7 @@ class _Segment:
 
 
 def is_labview(lines: Sequence[str]) -> bool:
-    """Return whether a text is a LabVIEW measurement file."""
+    """Return whether a text is a LabVIEW measurement file, by the beginning of its first line."""
     return bool(lines) and lines[0].startswith(BEGIN)
 
 
@@ -83,8 +84,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
     """Read the columns of a LabVIEW measurement file as signals.
 
     Raises:
-        RecordingError: the file has another format, or no rows of numbers.
-        BudgetError: it has more values than a file of its size may contain.
+        RecordingError: the file has another format, or no rows.
+        BudgetError: it has more values than a file of its size may contain, or too many columns.
     """
     lines = split_lines(decode(content)[0])
     if not is_labview(lines):
@@ -101,8 +102,8 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
     The first segments, as far as each continues the one before without a gap, are joined; the others are left out.
 
     Raises:
-        RecordingError: the file has no rows of numbers.
-        BudgetError: it has more values than a file of its size may contain.
+        RecordingError: the file has no rows.
+        BudgetError: it has more values than a file of its size may contain, or too many columns.
     """
     separator = (
         "," if any(line.startswith("Separator,") or line.lower() == "separator\tcomma" for line in lines[:40]) else "\t"
@@ -180,7 +181,7 @@ def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segm
 def _joined(segments: Sequence[_Segment], decimal: str) -> int:
     """Return the number of segments, counted from the first, that follow each other without a gap.
 
-    They have the same columns, and each begins where the one before ends.
+    They have the same columns, and by its header, each begins where the one before ends.
     """
     for number, (one, after) in enumerate(itertools.pairwise(segments), 1):
         step = one.number("Delta_X", 0, decimal)

@@ -45,8 +45,11 @@ Tables = dict[str, dict[str, Any]]  # columns by name, by the path of their stru
 def read_5(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the arrays in a MATLAB file of version 5 to 7 as signals; `library` is `scipy.io`.
 
+    The result has no signals if the file has no variables, or only empty ones.
+
     Raises:
-        RecordingError: the file has variables, but none of them is a vector of numbers.
+        RecordingError: the file has other variables, but none of them is a vector or matrix of numbers.
+        BudgetError: there are too many columns.
     """
     found = library.loadmat(io.BytesIO(content), struct_as_record=True)
     left_out: dict[str, str] = {}
@@ -62,7 +65,7 @@ def read_7_3(path: Path, content: bytes, library: ModuleType) -> ImportedSignals
 
     Raises:
         RecordingError: as `read_5`, or an array is kept outside the file.
-        BudgetError: the arrays have more values than a file of this size may contain.
+        BudgetError: the arrays have more values than a file of this size may contain, or there are too many columns.
     """
     tree = hdf5.Hdf5Tree(library, len(content))
     tables: Tables = {}
@@ -149,8 +152,7 @@ def _signals(path: Path, file_format: str, tables: Tables, left_out: dict[str, s
     """Return the columns of all structs as signals; a struct without times or rate uses those of the structs around it.
 
     Raises:
-        RecordingError: the file has variables, but none of them is a vector of numbers; the message names what was left
-            out.
+        RecordingError: there are no signals, but variables were left out; the message names them.
     """
     parts: dict[str, ImportedSignals] = {}
     for where, columns in tables.items():

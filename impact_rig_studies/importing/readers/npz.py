@@ -37,7 +37,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 
     Raises:
         RecordingError: an array is shorter than its header claims.
-        BudgetError: the content is larger than a file of this size may contain.
+        BudgetError: the content is larger than a file of this size may contain, or has too many columns.
     """
     columns: dict[str, NDArray[np.generic]] = {}
     left_out: dict[str, str] = {}

@@ -40,7 +40,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     Columns that cannot become an array of NumPy are left out, with the reason for the user.
 
     Raises:
-        BudgetError: the content is larger than a file of this size may contain.
+        BudgetError: the content is larger than a file of this size may contain, or has too many columns.
     """
     file = library.ParquetFile(io.BytesIO(content))
     check_column_count(file.metadata.num_columns)

@@ -35,12 +35,13 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all channels of all streams of a file as signals.
 
-    The name of a signal is the comment of its channel, or else its node, or else `channel_` with its number from 0. If
-    there are several streams, the name of the stream is put in front, except for the longest stream.
+    The name of a signal is the comment of its channel, or else its node with the direction, or else `channel_` with
+    its number from 0. If there are several streams, the name of the stream is put in front, except for the longest one.
 
     Raises:
-        RecordingError: the file is not one of Rattlesnake's, or its rate is not finite and above 0.
-        BudgetError: the streams have more values than a file of this size may contain.
+        RecordingError: the file is not one of Rattlesnake's, its rate is not finite and above 0, or data are kept
+            outside the file.
+        BudgetError: the streams have more values than a file of this size may contain, or too many channels.
     """
     if content[:3] == b"CDF":
         raise RecordingError(

@@ -44,10 +44,11 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the channels of numbers in all groups of a TDMS file as signals; the result may have none.
 
-    Other channels are left out, with the reason for the user.
+    The first channel of times in a group becomes the abscissa. Other channels are left out, with the reason for the
+    user.
 
     Raises:
-        BudgetError: the file claims more values than one of its size may contain.
+        BudgetError: the file claims more values than one of its size may contain, or too many channels.
     """
     file = library.TdmsFile.read_metadata(io.BytesIO(content))
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -105,8 +106,9 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
     """Return the abscissa of a channel with `count` values, and its kind.
 
     The step that its waveform properties state takes precedence, then the times `listed` in another channel [s], then
-    `rate_hz`. But a step of `NO_INCREMENT` may mean that none was set: then listed times take precedence, and if
-    `rate_hz` contradicts it, the channel has no abscissa. Without either it is used, with a note for the user.
+    `rate_hz`. But a step of `NO_INCREMENT` may mean that none was set: then listed times take precedence. Without
+    them, the channel has no abscissa if `rate_hz` contradicts this step; otherwise the step is used, with a note for
+    the user. Listed times that are not `count` many are ignored.
     """
     properties: dict[str, object] = channel.properties  # type: ignore[attr-defined]  # of an untyped library
     step = _number(properties.get("wf_increment"))
@@ -136,7 +138,7 @@ def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count
 def _listed_times(group: object) -> tuple[str, Real] | None:
     """Return name and times [s] of the first channel of a group that contains times; None if there is none.
 
-    Numbers of seconds are returned as they are, dates as seconds since the first one.
+    Numbers are converted to seconds by their unit, dates to seconds since the first one.
     """
     for channel in group.channels():  # type: ignore[attr-defined]  # as above
         name, unit = headings.split_unit(channel.name)

@@ -55,7 +55,10 @@ READABLE = (58, 164)
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read the time responses of a universal file; all other datasets are left out, with the reason for the user.
+    """Read the time responses of a universal file.
+
+    All other datasets, except those of units, are left out, with the reason for the user. A function of the general
+    type (0) also counts as a time response if its header states that it is over time.
 
     Raises:
         RecordingError: there is no time response; the message names the reasons.
@@ -169,7 +172,7 @@ def _unit(one: dict[str, Any], system: str) -> str:
     """Return the unit of a dataset's values: its label, or else the unit of their quantity with `system` for lengths.
 
     It is empty if neither is known. The unit of values per another quantity, such as an impulse response in mm/N,
-    includes that of this quantity.
+    includes that of this quantity (`?/N` if only this one is known).
     """
     label = _label(one.get("ordinate_axis_units_lab"))
     quantity, below = (int(one.get(f"{name}_spec_data_type", 0) or 0) for name in ("ordinate", "orddenom"))
