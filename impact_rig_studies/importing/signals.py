@@ -51,7 +51,7 @@ class AbscissaKind(enum.StrEnum):
 class Abscissa:
     """Times or frequencies at which a signal is given: evenly spaced, or listed one by one.
 
-    Times are always in seconds, all other values in the unit of the file.
+    Times are always in seconds, also if `unit` is another one; all other values are in this unit.
     """
 
     kind: AbscissaKind = AbscissaKind.NONE

@@ -38,10 +38,10 @@ CHANCE = 1e-9  # probability that differences are multiples of a number within t
 def step_of(values: Real) -> float:
     """Return the step of which all differences of a signal's values are multiples, in their unit; 0 if there is none.
 
-    The result is also 0 if there are few finite values, or if they repeat after every `REPEATED` samples. Only the last
-    `SAMPLES` values are used, and of these only the large ones, at least half of the largest absolute value. Smaller
-    values may be printed with finer steps, which do not matter for the amplitude. If the large values have at most
-    `FEW` levels, the small ones are used as well.
+    The result is also 0 for at most 2 · `REPEATED` finite values, or if they repeat after every `REPEATED` samples.
+    Only the last `SAMPLES` values are used, and of these only the large ones, at least half of the largest absolute
+    value. Smaller values may be printed with finer steps, which do not matter for the amplitude. If the large values
+    have at most `FEW` levels, the small ones are used as well.
     """
     values = values[-SAMPLES:]
     values = values[np.isfinite(values)]

@@ -160,8 +160,8 @@ def uniform(
         followed: signals that give frequency or gap, shape (n,) each.
 
     Raises:
-        ConfigError: neither times nor a rate are known, the times do not increase or are not uniform, or a rate is out
-            of range.
+        ConfigError: neither times nor a rate are known, the times do not increase, span more than `LONGEST_S`, or are
+            not uniform (without resampling). Or a rate is out of range, or a value to resample is not finite.
         RecordingError: times and values differ in number, or there are fewer than 2 values.
         BudgetError: resampling would give too many values.
     """
@@ -302,7 +302,7 @@ def _without_holes(times: Real, rate: float, digit: float) -> float:
 
 
 def _mostly_equal(steps: Real) -> bool:
-    """Return whether most steps between times are equal: then the others are due to missing scans, not to rounding."""
+    """Return whether over `MOSTLY` of the steps are equal; the others are then due to missing scans, not rounding."""
     middle = float(np.median(steps))
     return bool(np.mean(np.abs(steps - middle) <= 1e-6 * abs(middle)) > MOSTLY)
 
@@ -325,7 +325,8 @@ def _resampled(
 ) -> Grid:
     """Return signals at the requested `rate` [Hz], by interpolation; `exact` is the scan rate of the file [Hz].
 
-    Each stretch of times without missing scans has a spline of its own, and nothing is interpolated between stretches.
+    Each stretch of times without a step of more than `HOLE` periods has a spline of its own, and nothing is
+    interpolated between stretches.
     The signals in `followed` (frequency and gap) are not interpolated, but keep their value until the next one.
 
     Raises:

@@ -140,7 +140,8 @@ def unit_factor(unit: str, wanted: str) -> float | None:
 def quantity(unit: str) -> str | None:
     """Return the SI unit of the quantity that `unit` measures: m, m/s, m/s^2, A, V, s or Hz; None for any other.
 
-    It is also None for a unit that only `pint` knows if `pint` is not installed.
+    An angle per time, such as rad/s or rpm, is a frequency. A unit that only `pint` knows gives None if `pint` is not
+    installed.
     """
     if _cycles_per_second(unit) is not None:
         return "Hz"
@@ -154,7 +155,10 @@ def quantity(unit: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a cell of a table's heading is a unit of any quantity, which distinguishes it from a name."""
+    """Return whether a cell of a table's heading is a unit of any quantity, which distinguishes it from a name.
+
+    Units that only `pint` knows do not count.
+    """
     bare = _bare(text)
     bare = bare[1:-1].strip() if bare.startswith("(") and bare.endswith(")") else bare
     return _cycles_per_second(bare) is not None or _parse(bare) is not None or bare.lower() in _OTHER_UNITS
@@ -261,7 +265,13 @@ class Sensitivity(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Sensitivity | None:
-        """Parse a sensitivity such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`; return None if it is invalid."""
+        """Parse a sensitivity such as `500 mV/mm`, `10.2 mV/(m/s^2)` or `100 mV/g`.
+
+        Returns None if it is invalid or zero; it may be negative.
+
+        Raises:
+            RecordingError: the unit of its voltage is known to `pint` at most, which is not installed.
+        """
         match = re.match(r"\s*([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^/]{1,40})/(.{1,40})$", text)
         if match is None:
             return None

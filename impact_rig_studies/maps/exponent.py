@@ -57,8 +57,8 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
             not determine the motion there, because the sphere is in contact with a wall.
         z: dimensionless coordinates at the section, shape (n,).
         returns: number of returns in each window.
-        windows: number of averaged windows; a further one before them lets the distance of the two states turn into
-            the direction of fastest growth.
+        windows: number of averaged windows, at least 2; a further one before them lets the distance of the two states
+            turn into the direction of fastest growth.
     """
     return summary(list(itertools.islice(in_windows(f, z, returns), windows)))
 
@@ -99,9 +99,10 @@ def summary(windows: list[float]) -> Exponent:
 
 
 def sign(windows: Iterable[float]) -> int:
-    """Return the sign of the exponent as soon as it is certain: 1 or -1, or 0 if it is not certain (`CERTAIN`).
+    """Return the sign of the exponent as soon as it is certain (`CERTAIN`): 1 or -1.
 
-    `windows` are those of `in_windows`; no more are taken than needed.
+    It is 0 if the sign is not certain even with the most windows in `CERTAIN`, or if the exponent is NaN. `windows` are
+    those of `in_windows`; no more are taken than needed.
     """
     taken: list[float] = []
     for window in itertools.islice(windows, max(CERTAIN)):

@@ -202,8 +202,10 @@ class MapRig:
     def measure(self, frequency_hz: float, amplitude: float) -> Reading:
         """Drive the rig with a sine from its present state until the motion has settled, and measure it.
 
-        A motion that has not settled after `Settings.settle_cycles` is averaged over `Settings.cycles` drive cycles. If
-        the motion cannot be simulated, the rig is reset, and the reading has the regime `FAILED`.
+        A motion that has not settled after `Settings.settle_cycles` is averaged over `Settings.cycles` drive cycles, or
+        over the last 2 · `CHUNK` if it appears periodic and neighbouring motions do not certainly separate. A motion
+        that is leaving an unstable orbit is first continued, up to `DEPARTURES` times. If the motion cannot be
+        simulated, the rig is reset, and the reading has the regime `FAILED`.
 
         Args:
             frequency_hz: frequency of the drive.
@@ -380,8 +382,8 @@ def _leaves(record: _Record, frequency_hz: float) -> bool:
 
     The end of the record is divided into `_RISES` parts. The largest change must be larger in each part than in the one
     before, and at most `_CLOSE` times the mean amplitude in the last one. The changes of a chaotic motion do not grow
-    steadily. While a motion leaves an orbit, neighbouring motions separate at
-    the rate at which it leaves, although it may settle later.
+    steadily. While a motion leaves an orbit, neighbouring motions separate at the rate at which it leaves, although it
+    may settle later.
     """
     series = _series(record.last(_RISES * CHUNK), frequency_hz)
     if series is None:
@@ -405,7 +407,8 @@ def _settled(record: _Record, frequency_hz: float, settings: Settings) -> int:
 def _long_period(record: _Record, frequency_hz: float, settings: Settings) -> int:
     """Return the number of drive cycles, up to `LONGEST_LOOKED`, after which the motion repeats, or 0.
 
-    `classify` considers only short periods. Here x_1 and the sphere must repeat within `periodic_tolerance`.
+    It is at most a third of the record. `classify` considers only short periods. Here x_1 and the sphere must repeat
+    within `periodic_tolerance`.
     """
     series = np.array([record.cycles[name] for name in ("x_1", "x_2", "v_2")])
     superior = float(np.abs(series[0]).mean())

@@ -87,7 +87,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
 def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, int]:
     """Return the format chunk of a WAV file, the bytes of its samples, and the number of bytes according to the header.
 
-    This number is larger than that of the bytes if the file was cut off.
+    This number is larger than that of the bytes if the file was cut off. If the header leaves it open (0 or 2^32 - 1),
+    all bytes up to the end of the file are samples.
 
     `order` is the byte order, `<` or `>`.
 
@@ -117,7 +118,8 @@ def _chunks(path: Path, content: bytes, order: str) -> tuple[bytes, memoryview, 
 def _samples(data: memoryview, order: str, code: int, width: int, bits: int) -> Real:
     """Return the samples of all channels, interleaved, as fractions of full scale, shape (n,).
 
-    PCM is signed, except with 8 bits or less.
+    PCM is signed, except in samples of one byte. Full scale is that of all bytes of a sample, also if it has fewer
+    `bits`.
 
     Args:
         data: bytes of the samples.
