@@ -58,8 +58,9 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     """Write a campaign from imported runs; return it, and a line of text for each point left out as it never settled.
 
     Properties of the instruments that a certificate, a mapping or an option states must be the same in all runs.
-    Properties that the import estimated from the data may differ: the campaign then has the first run's value, and of
-    several resolutions the coarsest. If the same run measured a point several times, its last measurement counts.
+    Properties that the import estimated from the data may differ, scan rates only by `SAME_RATE`: the campaign then has
+    the first run's value, and of several resolutions the coarsest. If the same run measured a point several times, its
+    last settled measurement counts.
 
     Args:
         runs: imported runs of one rig, with the same instruments.
@@ -67,8 +68,10 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
         config: known properties of the rig (sphere, contact law); None means the default rig.
 
     Raises:
-        ConfigError: a gap is unknown, two runs measured the same point, or no run has a settled measurement.
-        RecordingError: the directory cannot be written, or the calibrations of the runs differ.
+        ConfigError: the gap of a settled measurement is unknown, two runs measured the same point, or no run has a
+            settled measurement.
+        RecordingError: the directory cannot be written or contains results of another rig, or the calibrations of the
+            runs differ.
     """
     found: dict[tuple[float, float], tuple[Path, NDArray[np.void]]] = {}
     left_out: list[str] = []
@@ -157,6 +160,7 @@ class _Sensors:
         """Return the common calibration of these runs and of a further one, `other`.
 
         A stated value replaces an estimated one. Of two estimated values the first counts, or the coarser resolution.
+        Scan rates must differ by at most `SAME_RATE`, even if estimated.
 
         Raises:
             RecordingError: the channels or a stated property differ; the message names channel, column and both values.

@@ -70,6 +70,8 @@ class Optimum:
 def find(plan: MapPlan, search: Search) -> Optimum:
     """Find the value of a parameter at which DT is reduced most, by simulating points of its range.
 
+    A failed point counts as worse than all others. If all points fail, the result has the lowest value, with NaN.
+
     Args:
         plan: plan of a map, of which only rig, frequency, current and settings are used. Each point is measured from a
             reset rig.

@@ -372,7 +372,7 @@ def refuse_owned(key: str, name: str) -> None:
 
 
 def _check_corners(plan: MapPlan) -> None:
-    """Reject a map before it runs if the points at the ends of its axes, or of its search, have invalid values.
+    """Reject a map before it runs if the points at the ends of its first and last line, or of its search, are invalid.
 
     Raises:
         ConfigError: names the value and its range.

@@ -85,7 +85,10 @@ def store(directory: str | Path) -> TaskStore[MapLine]:
 
 
 def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
-    """Return a map with the results that are already stored in its output directory; missing points are NaN."""
+    """Return a map with the results that are already stored in its output directory; missing points are NaN.
+
+    Results of other versions of the code count as missing.
+    """
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
     values: dict[str, dict[str, NDArray[np.generic]]] = {}
@@ -108,7 +111,7 @@ def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
 def open_map(directory: str | Path) -> FinishedMap:
     """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
 
-    Points that are not measured yet are NaN.
+    Points that are not measured yet, or by another version of the code, are NaN.
 
     Raises:
         ConfigError: the directory is not that of a map.
