@@ -61,7 +61,7 @@ def add_record(commands: Commands) -> None:
         type=CURRENT,
         metavar="A",
         help=f"peak coil current of the shaker (default: {CURRENT_A}A; running rig: unchanged); if given for a running "
-        "rig, it is set to 0 at the end of a run of full length, but not if the run ends early",
+        "rig, it is set to 0 at the end, also if the run ends early",
     )
     parser.add_argument(
         "--seconds",

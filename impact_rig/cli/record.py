@@ -128,21 +128,24 @@ def _drive(arguments: argparse.Namespace, config: RigConfig, gap_m: float, direc
     driven = arguments.frequency is not None or arguments.current is not None
     required = {"drive.waveform": "sine"} if driven else {}
     with open_rig(arguments, config, directory, required, {"gap_m": gap_m}) as rig:
-        if driven:
-            rig.command(arguments.frequency, arguments.current)
-        rig.clear()
-        began_s, done_s, dt = rig.time_s, 0.0, ""
-        while done_s < arguments.seconds:
-            rig.step(timeout_s=SCANS_TIMEOUT_S)
-            for table in [] if running else rig.tables(topics.TRANSMISSIBILITY_TABLE.name):
-                dt = figure(table.rows["transmissibility"][-1], ".2f", "")
+        try:
+            if driven:
+                rig.command(arguments.frequency, arguments.current)
             rig.clear()
-            if rig.stopped:
-                raise CommandError(rig.stopped)
-            done_s = rig.time_s - began_s
-            yield done_s, rig.waiting or (f"DT {dt}" if dt else "")
-        if running and arguments.current is not None:
-            rig.command(current_a=0.0)
+            began_s, done_s, dt = rig.time_s, 0.0, ""
+            while done_s < arguments.seconds:
+                rig.step(timeout_s=SCANS_TIMEOUT_S)
+                for table in [] if running else rig.tables(topics.TRANSMISSIBILITY_TABLE.name):
+                    dt = figure(table.rows["transmissibility"][-1], ".2f", "")
+                rig.clear()
+                if rig.stopped:
+                    raise CommandError(rig.stopped)
+                done_s = rig.time_s - began_s
+                yield done_s, rig.waiting or (f"DT {dt}" if dt else "")
+        finally:
+            if running and arguments.current is not None and not rig.stopped:
+                with defer_signals():  # the shaker must not stay driven because the user is in a hurry
+                    rig.command(current_a=0.0)
 
 
 @attrs.frozen(eq=False)

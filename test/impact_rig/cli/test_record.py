@@ -16,12 +16,14 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from kits.browser import PATIENCE_S
 
 from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.cli.main import main
@@ -146,3 +148,30 @@ def test_a_run_over_topics_has_the_same_measurement(tmp_path: Path, capsys: pyte
     process, ros = found
     assert ros["transmissibility"] == pytest.approx(process["transmissibility"], abs=2 * process["u_transmissibility"])
     assert [part["what"] for part in ros["budget"]] == [part["what"] for part in process["budget"]]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("seconds", ["2", "100000"], ids=["complete", "interrupted"])
+def test_the_current_of_a_running_rig_is_0_again_however_its_recording_ends(tmp_path: Path, seconds: str) -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client import Client, Processes, isolated_domain  # needs ROS 2
+
+    words = ["record", "--through", "running", "--namespace", "/", "--current", "0.3", "--seconds", seconds]
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs") as processes:
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        processes.start("rig")
+        with Client(domain_id) as client:
+            client.wait_active("rig")
+            applied = client.collect("shaker/applied")
+
+            def currents() -> list[float]:
+                return [float(row["current"]) for table in applied.tables() for row in table.rows]
+
+            with subprocess.Popen(
+                [*PROGRAM, *words, "--output", str(tmp_path / "run")], env=environment, stderr=subprocess.PIPE
+            ) as recording:
+                client.wait_until(lambda: 0.3 in currents(), "the current", PATIENCE_S)
+                if seconds != "2":
+                    recording.send_signal(signal.SIGINT)
+                _, errors = recording.communicate(timeout=PATIENCE_S)
+            client.wait_until(lambda: currents()[-1] == 0.0, f"current 0 after {errors!r}", PATIENCE_S)
