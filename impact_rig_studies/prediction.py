@@ -217,7 +217,8 @@ class Branch:
         impact_phase_rad: phase of the superior base's motion when the sphere strikes the right wall, counted from the
             superior base's right turning point.
         theta: amplitude of the sphere over half the gap, Θ.
-        stable: whether the motion is stable.
+        stable: whether the motion is stable; for a constant amplitude of the superior base, and on a backbone, the
+            motion of the sphere alone.
         kind: `stable`, or how it loses its stability: `fold`, `symmetry` (the half cycles become different) or `torus`
             (sphere and structure exchange a slow beat).
     """
@@ -449,8 +450,9 @@ def branch(
 ) -> Branch:
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
-    The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Exactly
-    one of `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
+    The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Those
+    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. Exactly one of `current_a`, `base_m` and
+    `superior_m` must be given: it is held constant along the branch.
 
     Args:
         config: the rig; its own gap is ignored.
@@ -479,7 +481,8 @@ def at(
 ) -> Branch:
     """Return all motions with two symmetric impacts per cycle at one frequency and gap, the largest Θ first.
 
-    The branch has the length 0 if there are none. The arguments other than the gap are those of `branch`.
+    The branch has the length 0 if there are none. The range of Θ, and the arguments other than the gap, are those of
+    `branch`.
 
     Raises:
         ConfigError: as for `branch`.

@@ -60,7 +60,7 @@ def reduction(without: NDArray[np.void], rows: NDArray[np.void], calibration: Ca
 
     Args:
         without: settled rows of `transmissibility/table` without the damper, shape (n,), n >= 1.
-        rows: settled rows with the damper, by the same instruments, shape (k,), k >= 1.
+        rows: settled rows with the damper, at the same frequency and by the same instruments, shape (k,), k >= 1.
         calibration: calibration of these instruments.
     """
     quotient = float(np.mean(rows["transmissibility"]) / np.mean(without["transmissibility"]))

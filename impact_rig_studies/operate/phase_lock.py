@@ -573,7 +573,7 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Advance the rig by a number of seconds of rig time, and return the sample of the motion during them.
+        """Advance the rig by some seconds of rig time, in whole blocks, and return the sample of the motion in them.
 
         If there is no sample, the reason is returned as text for the user: why the shaker is stopped, or that the time
         was too short.
@@ -611,6 +611,8 @@ def follow(lock: PhaseLock, loop: LockLoop, until: Callable[[PhaseLock], bool]) 
 
 def run_phase_lock(plan: LockPlan, loop: LockLoop) -> PhaseLock:
     """Run a complete phase lock on a rig (search, track, dwell), and return it, finished or aborted.
+
+    At the end the current is set to zero, unless the shaker is stopped.
 
     Args:
         plan: range, speeds and limits of the lock.
@@ -664,7 +666,10 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 
 @attrs.frozen(kw_only=True)
 class AmplitudeSweep:
-    """Plan of the measurement of a backbone curve: the resonance at ascending, then descending currents."""
+    """Plan of the measurement of a backbone curve: the resonance at ascending, then descending currents.
+
+    The highest current is measured once only.
+    """
 
     currents_a: tuple[float, ...]  # peak currents [A], ascending
     # plan of the lock: its current and dwell time are not used, and its limit for a lost lock applies to each point
@@ -707,8 +712,8 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
         loop: the rig.
 
     Returns:
-        The measured points, and the reason why the sweep ended early ("" if it did not). The drive is at zero current
-        in both cases.
+        The measured points, and the reason why the sweep ended early ("" if it did not). In both cases the current is
+        set to zero, unless the shaker is stopped.
 
     Raises:
         CommandError: the rig rejects a command.

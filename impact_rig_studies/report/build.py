@@ -62,7 +62,8 @@ def build_report(
     Args:
         directory: directory of the campaign or of the run; an MCAP file is a run.
         output: directory of `report.html` and `report.json`; None means that of the results.
-        margins: directory of a campaign with varied constants, for the table of the statements' sensitivity to these.
+        margins: directory of a campaign with varied constants, for the table of the statements' sensitivity to these;
+            None means the campaign itself.
         branches: output directories of `impact-rig dynamics continue` for the campaign's rig; each adds a figure of its
             branches with the measured points.
         figures: directory of the figures; None means the folder `figures` next to the page.
@@ -265,7 +266,7 @@ def _paths(done: Finished, folder: Path) -> list[Path]:
 
 
 def _links(paths: Sequence[Path], folder: Path) -> Markup:
-    """Return links to files as HTML for a page in `folder`: relative if possible, so that the folder can be moved."""
+    """Return links to files as HTML for a page in `folder`: relative for files within it, so that it can be moved."""
     resolved, here = [path.resolve() for path in paths], folder.resolve()
     addresses = [
         quote(path.relative_to(here).as_posix()) if path.is_relative_to(here) else path.as_uri() for path in resolved

@@ -82,7 +82,7 @@ def draw_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
 
 
 def draw_all_gaps(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw DT and phase of all gaps over the frequency, with predictions, as two figures.
+    """Draw DT and phase of the paper's gaps, and without sphere, over the frequency, with predictions, as two figures.
 
     They show the complete range of the paper's frequencies, and the range near resonance. All measurements at the
     paper's current are drawn. There are no figures if fewer than two cases (a gap, or no sphere) were measured.
@@ -269,7 +269,7 @@ def draw_residuals(reductions: Reductions) -> Iterator[Drawn]:
 
 
 def draw_errors_without_sphere(curves: Curves, config: RigConfig) -> Iterator[Drawn]:
-    """Draw the differences of DT without the sphere from the closed form: the errors of the instruments."""
+    """Draw the differences of DT without the sphere from the closed form, in percent: the errors of the measurement."""
     points = curve(curves, NO_SPHERE)
     if not points:
         return
@@ -515,7 +515,7 @@ DRAWN_HZ = 2000.0  # displacements are drawn at this rate; pulses of the acceler
 
 
 def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw the motion of superior base and sphere over a few cycles, with the accelerometer's signal.
+    """Draw the motion of superior base (laser) and sphere (truth) over `CYCLES` cycles, and the accelerometer's signal.
 
     Args:
         trace: columns by name: scans, and true motion of the simulated rig, at the end of the measurement of a point.
