@@ -33,6 +33,8 @@ from impact_rig.errors import ImpactRigError
 from impact_rig.system import files
 from impact_rig.system.extras import load
 
+OF_A_STARTED_RIG = ("namespace", "scan_rate", "mode", "no_record", "output")
+"""Options that have no effect if the page shows a running rig or recorded runs."""
 SAMPLE = "lab_sample"  # name of the directory of the short run for --sample
 FOUND = "?"  # value of --attach without a namespace: search for a rig
 POLL_MS = 1000
@@ -121,6 +123,7 @@ def add_command(commands: Commands) -> None:
         metavar="DIR",
         help="directory in which each recording gets a folder of its own (default: %(default)s)",
     )
+    parser.set_defaults(of_a_started_rig={name: parser.get_default(name) for name in OF_A_STARTED_RIG})
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -137,8 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:
         raise ImpactRigError(f"at most two runs can be shown side by side, got {len(arguments.runs)}")
-    if (arguments.runs or arguments.sample) and arguments.attach:
-        raise ImpactRigError("a run to play back (RUN or --sample) and --attach cannot be combined: choose one")
+    _check_combination(arguments)
     load("impact_rig_lab.server", "lab", "lab")
     from impact_rig_lab.server import Server, check_port, kept_token  # noqa: PLC0415  # an extra
     from impact_rig_lab.theory import continued  # noqa: PLC0415
@@ -166,6 +168,26 @@ def run(arguments: argparse.Namespace) -> int:
         while not reader.poll(POLL_MS):
             pass
     return 128 + signal.SIGPIPE
+
+
+def _check_combination(arguments: argparse.Namespace) -> None:
+    """Check that the page has one source, and that no option is given that has no effect on it.
+
+    Raises:
+        ImpactRigError: several sources are given, or an option that applies only to another one.
+    """
+    given = {"RUN": arguments.runs, "--sample": arguments.sample, "--attach": arguments.attach}
+    sources = [name for name, value in given.items() if value]
+    if len(sources) > 1:
+        raise ImpactRigError(f"{' and '.join(sources)} cannot be combined: choose one")
+    for name, default in arguments.of_a_started_rig.items() if sources else ():
+        if getattr(arguments, name) != default:
+            option = f"--{name.replace('_', '-')}"
+            raise ImpactRigError(
+                f"{option} applies only to a rig that this command starts: omit it, or omit {sources[0]}"
+            )
+    if arguments.rig and not (arguments.runs or arguments.sample):
+        raise ImpactRigError("--rig applies only to recorded runs: omit it, or name a RUN")
 
 
 def _say_where(source: Any) -> None:

@@ -217,3 +217,23 @@ def test_the_last_line_says_where_the_recording_is_or_that_there_is_none(
 ) -> None:
     cli._say_where(source)
     assert capsys.readouterr().out == last
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("RUN", "--sample"), "RUN and --sample cannot be combined"),
+        (("--sample", "--attach", "/rig"), "--sample and --attach cannot be combined"),
+        (("--sample", "--scan-rate", "2000"), "--scan-rate applies only to a rig that this command starts"),
+        (("--attach", "/rig", "--namespace", "/two"), "--namespace applies only to a rig"),
+        (("--attach", "--no-record"), "--no-record applies only to a rig"),
+        (("RUN", "--output", "there"), "--output applies only to a rig"),
+        (("RUN", "--mode", "free_running"), "--mode applies only to a rig"),
+        (("--rig", "/left"), "--rig applies only to recorded runs"),
+    ],
+)
+def test_an_option_without_effect_is_refused(
+    words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lab", "--no-browser", *words]) == 1
+    assert says in " ".join(capsys.readouterr().err.split())
