@@ -120,7 +120,8 @@ def word(*known: str) -> Check:
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:
-            raise RequestError(f"{name} must be one of {', '.join(known)}, got {_short(value)}")
+            allowed = ", ".join(one or "an empty text" for one in known)
+            raise RequestError(f"{name} must be one of {allowed}, got {_short(value)}")
         return value
 
     return check
@@ -222,8 +223,9 @@ def parse(raw: str | bytes) -> Request:
         RequestError: the message is too long or no JSON object, the request is unknown, or a value is missing, unknown
             or invalid.
     """
-    if len(raw) > LONGEST_REQUEST:
-        raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {len(raw)}")
+    size = len(raw.encode("utf-8", "replace")) if isinstance(raw, str) else len(raw)
+    if size > LONGEST_REQUEST:
+        raise RequestError(f"a request must have at most {LONGEST_REQUEST} bytes, got {size}")
     try:
         found = json.loads(raw)
     except (ValueError, RecursionError) as error:  # not JSON, not UTF-8, or nested too deeply

@@ -23,7 +23,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from impact_rig import codec
 from impact_rig.client import Processes
+from impact_rig.config import tree
+from impact_rig.system import budget
+from impact_rig_lab import protocol, server
+from impact_rig_studies.campaign import axes
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted(
@@ -153,3 +158,30 @@ def test_a_policy_can_be_written_for_another_namespace_and_clock(capsys, monkeyp
     analysis = [topic.text for topic in policy.iterfind(".//profile[@node='analysis']/topics[@subscribe]/topic")]
     assert "/left/rig/daq/scan" in analysis
     assert "/clock" in analysis
+
+
+def test_the_stated_limits_are_those_of_the_code() -> None:
+    page = (ROOT / "docs" / "explanation" / "security.md").read_text(encoding="utf-8")
+    page = re.sub(r"(?<=\d)\s(?=\d{3})", ",", page)
+    table = dict(re.findall(r"^\| (.+?) \| (.+?) \|$", page.partition("| read | bound |")[2], re.MULTILINE))
+    mib, kib = budget.MIB, 1024
+    stated = {
+        "table (`PointCloud2`)": [f"{codec.MAX_COLUMNS} columns"],
+        "configuration file": [
+            f"{tree.MAX_FILE_BYTES / 1e6:g} MB", f"{tree.MAX_KEYS:,} keys", f"{tree.MAX_DEPTH} levels"
+        ],
+        "campaign file": [f"{axes.MAX_VALUES:,} values per axis", f"{budget.POINTS:,} points × n"],
+        "MCAP chunk, or any other record": [f"{budget.CHUNK_BYTES // mib} MiB × n"],
+        "MCAP chunks whose messages are not in order": [f"{budget.HELD_BYTES // mib} MiB × n"],
+        "all chunks of a recording": [
+            f"{budget.DECOMPRESSED_BYTES // mib} MiB and {budget.DECOMPRESSED_PER_BYTE} bytes",
+            f"{budget.RECORDS:,} records",
+        ],
+        "index of an MCAP file; topics": [f"{budget.INDEX_BYTES // mib} MiB × n", f"{budget.TOPICS:,} × n"],
+        "`metadata.yaml` of a run": [f"{budget.METADATA_BYTES // kib} KiB × n"],
+        "quality of service in a recording": [f"{budget.QOS_CHARACTERS // mib} MiB × n"],
+        "request of the lab's page": [f"{protocol.LONGEST_REQUEST // kib} KiB", f"{server.MAX_INVALID} malformed"],
+    }  # fmt: skip
+    for read, bounds in stated.items():
+        for bound in bounds:
+            assert bound in table[read], f"{read}: {bound}"

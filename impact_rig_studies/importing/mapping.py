@@ -202,6 +202,8 @@ def _channel(name: str, given: AnyMapping[str, object], known: Channel | None) -
     values: dict[str, object] = {}
     for key in ("column", "unit", "sensitivity"):
         if key in given:
+            if given[key] is None:
+                raise ConfigError(f"channels.{name}.{key} must be a text, got null: omit the key")
             values[key] = _text(given[key])
     for key in ("scale", "sign", "offset"):
         if key in given:

@@ -349,6 +349,9 @@ def test_every_parameter_of_a_change_is_in_the_journal() -> None:
     assert "parameter barriers.gap_m 0.004" in lines
 
 
+VIEW = '{"do":"view","span":1,"columns":100,"trigger":false,"spectrum":"laser","top":100}'
+
+
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
@@ -361,7 +364,8 @@ def test_every_parameter_of_a_change_is_in_the_journal() -> None:
         ('{"do":"sweep","frequencies":[],"direction":"up","hold":"command","target":0}', "1 to 200"),
         ('{"do":"sweep","frequencies":[9],"direction":"left","hold":"command","target":0}', "one of"),
         ('{"do":"sweep","frequencies":[9],"direction":"up","hold":"breath","target":0}', "hold must be one of"),
-        ("x" * 70000, "at most 65536"),
+        ("x" * 70000, "at most 65536"), ("é" * 40000, "at most 65536 bytes, got 80000"),
+        (VIEW.replace("laser", "mood"), "spectrum must be one of an empty text, "),
     ],
 )  # fmt: skip
 def test_invalid_requests_are_rejected(raw: str, words: str) -> None:
