@@ -136,6 +136,18 @@ def test_two_imus_of_a_bag_are_imported(tmp_path: Path, storage: str) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("lengths", [(0, 2, 2), (2, 0, 2), (1, 2)], ids=str)
+def test_a_topic_whose_messages_differ_in_length_is_left_out(tmp_path: Path, lengths: tuple[int, ...]) -> None:
+    def messages() -> Stamped:
+        for place, length in enumerate(lengths):
+            yield "/own", "std_msgs/msg/Float64MultiArray", BEGIN_NS + place, {"data": np.ones(length)}
+            yield "/other", "std_msgs/msg/Float64", BEGIN_NS + place, {"data": 1.0}
+
+    found = readers.read(bag(tmp_path, "mcap", messages()))
+    assert found.left_out == {"/own": "its messages differ in their number of values"}
+    assert list(found.signals) == ["other"]
+
+
 def numbers(kind: str) -> Stamped:
     """Yield two topics of one number each, as a driver of each kind does."""
     for time_s, x_b in zip(TIME_S, BASE, strict=True):

@@ -145,7 +145,7 @@ class _Series:
         found = dict(_leaves(message, ""))
         if len(found) == 1:
             found = {"": next(iter(found.values()))}
-        if not self.columns:
+        if not self.stamps:
             self.columns = {field: array("d") for field in found}
             self.units = {field: unit for field, (_, unit) in found.items()}
         if found.keys() != self.columns.keys():
@@ -176,7 +176,7 @@ class _Series:
             self.left_out = "a point cloud without a column `time` is no series of samples"
             return
         named = [name for name in layout.names or () if name != time]
-        if not self.columns:
+        if not self.stamps:
             self.columns = {name: array("d") for name in named}
         if list(self.columns) != named:
             self.left_out = "its messages differ in their columns"
