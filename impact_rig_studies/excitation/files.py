@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
 from impact_rig.recording import open_run
+from impact_rig.runs.excerpts import calibration_rows
 from impact_rig.system import budget
 from impact_rig_studies.campaign.tasks import load_plan
 from impact_rig_studies.excitation.random import Spectrum
@@ -130,8 +131,7 @@ def history(
             `channel` of a run.
         channel: default channel of a run; None means current.
         unit: unit of the file's values, if the file states none or a wrong one; empty means the unit that the file
-            states, or else `wanted`. It is an error for a run, whose values are in SI units; `wanted` is
-            not checked for it.
+            states, or else `wanted`. It is an error for a run, which states the units of its channels.
         scale: factor by which the values are multiplied.
         file_hz: number of samples per second of a file that states neither times nor a rate. It is an error for any
             other file, and for a run.
@@ -142,22 +142,24 @@ def history(
     Raises:
         ConfigError: the signal or its rate is not known, its times are not evenly spaced, `rate_hz` is < 1, or the unit
             cannot be converted to `wanted`.
-        RecordingError: the file is damaged, scans of the run are missing, or the signal is empty or not finite.
+        RecordingError: the file is damaged, scans or calibration of the run are missing, or the signal is empty or not
+            finite.
         BudgetError: the result would have too many samples.
     """
-    if path.is_dir() or path.suffix == ".mcap":
+    is_run = path.is_dir() or path.suffix == ".mcap"
+    if is_run:
         if unit or file_hz is not None:
             option = "--unit" if unit else "--file-rate"
             raise ConfigError(f"{path}: a run states the units and the rate of its channels: omit {option}")
-        values, found_hz = _of_run(path, name or channel or "current")
+        values, found_hz, unit = _of_run(path, name or channel or "current")
     else:
         values, found_hz, unit = _of_file(path, name, unit, file_hz)
     if unit:
         to_si = unit_factor(unit, wanted)
         if to_si is None:
             raise ConfigError(
-                f"{path}: {unit!r} cannot be converted to {wanted}, which is needed here: choose another signal, or "
-                "state the unit of its values with --unit"
+                f"{path}: {unit!r} cannot be converted to {wanted}, which is needed here: choose another "
+                f"{'channel with --signal' if is_run else 'signal, or state the unit of its values with --unit'}"
             )
         scale *= to_si
     if rate_hz < 1:
@@ -176,14 +178,15 @@ def history(
     return np.asarray(scale * scipy.signal.resample_poly(values, ratio.numerator, ratio.denominator), np.float64)
 
 
-def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
+def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float, str]:
     with open_run(path) as run:
         tables = list(run.tables(topics.SCAN, recorded_order=True))
-    if not tables:
-        raise RecordingError(f"{path}: the run contains no scans, so there is no signal to play")
-    if name not in (tables[0].rows.dtype.names or ()):
-        channels = ", ".join(tables[0].rows.dtype.names or ())
-        raise ConfigError(f"{path} has no channel {name!r}; choose one by --signal NAME: {channels}")
+        if not tables:
+            raise RecordingError(f"{path}: the run contains no scans, so there is no signal to play")
+        units = {row["name"].decode(): row["unit"].decode() for row in calibration_rows(run)}
+    channels = [one for one in tables[0].rows.dtype.names or () if one in units]
+    if name not in channels:
+        raise ConfigError(f"{path} has no channel {name!r}; choose one by --signal NAME: {', '.join(channels)}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
     if not seconds > 0.0:
@@ -196,7 +199,7 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float]:
             raise RecordingError(
                 f"{path}: scans are missing in the run, but a signal to play must have no gap; use another run"
             )
-    return rows, round(rate_hz, 3)
+    return rows, round(rate_hz, 3), units[name]
 
 
 def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> tuple[NDArray[np.float64], float, str]:
@@ -224,18 +227,21 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
 def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
     """Return the rate of listed times [1/s], which must be those of an even clock but for rounding and jitter.
 
-    The result is 0 if the last time is not after the first.
-
     Raises:
-        ConfigError: a time is off the even grid from the first to the last by more than half a period plus the last
-            digit of the times.
+        ConfigError: the last time is not after the first, or a time is off the even grid from the first to the last by
+            more than half a period plus the last digit of the times.
     """
     period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+    if not period_s > 0.0:
+        raise ConfigError(
+            f"{path}: the times do not increase: the last is {float(time_s[-1]):g} s after the first; correct them, or "
+            "remove them from the file and state its samples per second with --file-rate HZ"
+        )
     off_s = np.abs(time_s - time_s[0] - period_s * np.arange(len(time_s)))
-    if period_s > 0.0 and not np.all(off_s <= 0.5 * period_s + step_of(time_s)):
+    if not np.all(off_s <= 0.5 * period_s + step_of(time_s)):
         worst = int(np.argmax(np.where(np.isfinite(off_s), off_s, np.inf)))
         raise ConfigError(
             f"{path}: the times are not evenly spaced: the one of value {worst + 1} is {off_s[worst]:.4g} s off the "
             f"mean period of {period_s:.6g} s; resample the signal to even times"
         )
-    return 1.0 / period_s if period_s > 0.0 else 0.0
+    return 1.0 / period_s

@@ -139,7 +139,7 @@ def convert(
     rows = _scans(found, si_units, info)
     instants = _Instants(index, rate, start_ns)
     measured_hz, is_sine = _frequency_of(found, si_units, float(rate), index)
-    mapping, guesses = _confirmed(mapping, measured_hz if is_sine else 0.0, len(index) / rate)
+    mapping, guesses = _confirmed(mapping, measured_hz if is_sine else 0.0, len(index) / rate, float(rate))
     commands = _commands(source, mapping, drive, followed.get("frequency"), instants)
     if not commands:
         commands = ((start_ns, measured_hz, math.nan),)
@@ -343,17 +343,25 @@ def _calibration(
     return rows, estimated
 
 
-def _confirmed(mapping: Mapping, measured_hz: float, seconds: float) -> tuple[Mapping, list[str]]:
+def _confirmed(mapping: Mapping, measured_hz: float, seconds: float, rate: float) -> tuple[Mapping, list[str]]:
     """Compare a frequency guessed from the file name with the data; return the mapping, and texts for the user.
 
     A guess that contradicts the frequency of the sine in the data (`measured_hz`, 0 if no sine is clear) is replaced by
-    this frequency. `seconds` is the length of the record. The texts also state a guessed gap, which cannot be compared.
+    this frequency. One of half the rate or more is dropped, because no drive frequency is: it is often the sampling
+    rate. `seconds` is the length of the record, `rate` its number of scans per second. The texts also state a guessed
+    gap, which cannot be compared.
     """
     said = []
     if "frequency" in mapping.guessed and isinstance(mapping.frequency, float):
         named = mapping.frequency
         within = max(NAMED_WITHIN * named, 0.5 / seconds)
-        if measured_hz > 0.0 and abs(named - measured_hz) > within:
+        if named >= 0.5 * rate:
+            said.append(
+                f"the {named:g} Hz in the file name cannot be a drive frequency at {rate:g} scans per second; that of "
+                "the data is used; state another with --frequency HZ"
+            )
+            mapping = attrs.evolve(mapping, frequency=None)
+        elif measured_hz > 0.0 and abs(named - measured_hz) > within:
             said.append(
                 f"the file name states a drive frequency of {named:g} Hz, but the data show {measured_hz:.5g} Hz, "
                 "which is used; state another with --frequency HZ"

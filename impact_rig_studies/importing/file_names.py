@@ -18,7 +18,14 @@ from __future__ import annotations
 import re
 
 _NUMBER = r"(?<![\d.,])(\d{1,9}(?:[.,pP]\d{1,9})?)"
-_FREQUENCY = re.compile(rf"(?<!fs)(?<!rate)(?<!\d-){_NUMBER}[\s_-]?([kK]?)[hH][zZ](?![a-z])")
+_FREQUENCY = re.compile(rf"(?<!\d-){_NUMBER}[\s_-]?([kK]?)[hH][zZ](?![a-z])")
+_RATE_WORD = (
+    r"(?:f_?s|(?<![a-z])(?:sr|s?rate)|(?:sampl(?:e|ing)|scan|data|frame|acq)[ _-]?rate|"
+    r"sampl(?:ing|ed)(?:[ _-]?freq[a-z]*|[ _-]at)?|abtast[a-z]*)"
+)
+_OF_RATE = re.compile(rf"{_RATE_WORD}[\s_=:@.-]{{0,3}}$", re.IGNORECASE)
+# atomic, as in `9Hz sampled at 1kHz` the word includes `at`
+_IS_RATE = re.compile(rf"[\s_-]{{0,3}}(?>{_RATE_WORD})(?![a-z]|[\s_=:@.-]{{0,3}}\d)", re.IGNORECASE)
 _LENGTH = re.compile(rf"{_NUMBER}[\s_-]?([mM][mM]|[µu]m)(?![a-z])")
 _GAP_WORD = r"(?:gap|spalt|clearance|spiel)"
 _OF_GAP = re.compile(rf"{_GAP_WORD}[\s_=:-]{{0,3}}$", re.IGNORECASE)
@@ -32,10 +39,15 @@ _NO_SPHERE = re.compile(
 def frequency_hz(stem: str) -> float | None:
     """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz`, `9.1 hz` or `1kHz`.
 
-    It is None if the name has no frequency above 0, or several that differ. A frequency directly after `fs` or
-    `rate`, as in `fs1000Hz`, does not count, because it is a sampling rate.
+    It is None if the name has no frequency above 0, or several that differ. A frequency next to a word such as `fs`,
+    `rate` or `sampling`, as in `fs_1000Hz` or `64kHz_sampling`, does not count, because it is a sampling rate.
     """
-    return _only({_number(number) * (1e3 if kilo else 1.0) for number, kilo in _FREQUENCY.findall(stem)} - {0.0})
+    found = (
+        one
+        for one in _FREQUENCY.finditer(stem)
+        if not _OF_RATE.search(stem[: one.start()]) and not _IS_RATE.match(stem[one.end() :])
+    )
+    return _only({_number(one[1]) * (1e3 if one[2] else 1.0) for one in found} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:

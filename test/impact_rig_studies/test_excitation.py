@@ -300,7 +300,7 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
 
 def test_a_response_without_a_sensor_cannot_follow_a_history(tmp_path):
     (tmp_path / "plan.yaml").write_text("response: base_acceleration")
-    with pytest.raises(ConfigError, match=r"\(base, superior, superior_acceleration\), got base_acceleration \(.*plan"):
+    with pytest.raises(ConfigError, match=r"\(base, superior, superior_acceleration\), got base_acceleration, which is computed \(.*plan"):
         load(tmp_path / "plan.yaml", ReplicatePlan)
 
 
@@ -314,6 +314,13 @@ def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
         ConfigError, match=r"gap\.csv: the times are not evenly spaced: the one of value 4 is 2.76 s off"
     ):
         history(tmp_path / "gap.csv", 1_000, "A", "drive")
+    for times in ([0.3, 0.2, 0.1], [0.3, 0.3, 0.3]):
+        (tmp_path / "back.csv").write_text("\n".join(["time [s],drive [A]", *(f"{t},{k}" for k, t in enumerate(times))]))
+        for file_hz in (None, 100.0):
+            with pytest.raises(ConfigError, match=r"the times do not increase: .* --file-rate HZ$"):
+                history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=file_hz)
+    (tmp_path / "back.csv").write_text("drive [A]\n0\n1\n2")
+    assert len(history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=100.0)) == 30
 
 
 def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
@@ -323,6 +330,12 @@ def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
     whole = [("daq/info", rig.info()), *scans]
     record(tmp_path / "whole", whole)
     assert len(history(tmp_path / "whole", 2_000, "A")) == 4_000
+    assert len(history(tmp_path / "whole", 2_000, "m/s²", "accelerometer")) == 4_000
+    for channel, wanted in (("laser", "A"), ("accelerometer", "m"), ("current", "m/s²")):
+        with pytest.raises(ConfigError, match=f"cannot be converted to {wanted}, which is .* channel with --signal$"):
+            history(tmp_path / "whole", 2_000, wanted, channel)
+    with pytest.raises(ConfigError, match=r"no channel 'time'; choose one by --signal NAME: accelerometer, laser"):
+        history(tmp_path / "whole", 2_000, "A", "time")
     with pytest.raises(ConfigError, match="a run states the units and the rate of its channels: omit --unit"):
         history(tmp_path / "whole", 2_000, "A", unit="mA")
     with pytest.raises(ConfigError, match="omit --file-rate"):

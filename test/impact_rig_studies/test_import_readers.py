@@ -964,6 +964,14 @@ def test_a_channel_with_another_time_base_is_recognised_and_rejected_with_a_reme
         ("0.5mm-2mm_sweep", None, None), ("gap500um_9.1Hz", 9.1, 0.5e-3), ("9.1HzGap6mm", 9.1, 6e-3),
         ("fs1000Hz_9.1Hz", 9.1, None), ("8-10Hz_sweep", None, None), ("9.1Hz_9.1Hz", 9.1, None),
         ("8Hz_10Hz", None, None), ("ohne_Kugel_2kHz", 2000.0, 0.0), ("amp3mm", None, 3e-3), ("91 hz", 91.0, None),
+        *((stem, None, None) for stem in (
+            "Fs1000Hz", "fs_1000Hz", "fs=51200Hz", "sr48000Hz", "rate 1000Hz", "SamplingRate_1kHz", "sampled@30kHz",
+            "sampling_10kHz", "sampling freq. 10 kHz", "sine_64kHz_sampling_ref", "Abtastrate5kHz", "x_2kHz_Sampled",
+        )),
+        *((stem, 9.0, None) for stem in (
+            "9Hz_fs1000Hz", "9Hz_fs1000", "9 Hz sampled at 1 kHz", "9Hz_fsweep", "sample_9Hz", "9Hz_sample_3",
+            "moderate_9Hz", "9Hz_sampling_freq_1000Hz",
+        )),
     ],
 )  # fmt: skip
 def test_frequency_and_gap_are_read_from_a_file_name(stem: str, hz: float | None, gap_m: float | None) -> None:

@@ -299,6 +299,16 @@ def test_guesses_from_the_file_name_are_compared_with_the_data(
     assert ("gap" in said) == (gap_m is not None)
 
 
+def test_a_sampling_rate_in_a_file_name_is_not_the_drive_frequency() -> None:
+    """Data sets such as `ds1a_1000Hz.mat` state the rate without a word. Impacts leave no clear sine to compare it."""
+    given = source({"base": "m", "laser": "m"}, 1000.0)
+    for one in given.signals.values():
+        one.values[::300] += 100.0 * BASE_M
+    found = imported(ImportedSignals(Path("ds1a_1000Hz.csv"), given.format, given.signals))
+    assert found.drive[0][1] < 500.0
+    assert "cannot be a drive frequency at 1000 scans per second" in " ".join(found.doubts)
+
+
 def test_doubtful_units_are_shown_before_anything_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
