@@ -406,7 +406,8 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
     """Return the mean coefficient of restitution e of repeated drops, with its standard uncertainty.
 
     The errors of the heights are independent from drop to drop. If the values of e scatter more than these errors
-    explain, the uncertainty is that of the scatter.
+    explain, the uncertainty is that of the scatter. It is NaN if the heights have no uncertainty and e does not
+    scatter, as for a single drop.
 
     Args:
         h0_m: heights of the releases [m], shape (n,).
@@ -435,6 +436,5 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
     n = len(each)
     explained = float(np.sum(each**2 * ((u_h1_m / h1_m) ** 2 + (u_h0_m / h0_m) ** 2) / 4.0)) / n**2
     scatter = float(np.var(each, ddof=1)) / n if n > 1 else 0.0
-    return DropTest(
-        status=Status.OK, restitution=float(each.mean()), u_restitution=math.sqrt(max(explained, scatter)), drops=n
-    )
+    u = math.sqrt(max(explained, scatter)) or math.nan
+    return DropTest(status=Status.OK, restitution=float(each.mean()), u_restitution=u, drops=n)

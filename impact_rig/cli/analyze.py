@@ -54,7 +54,8 @@ def run_analyze(arguments: argparse.Namespace) -> int:
             raise ConfigError(f"--{name} has an effect only with --frf: add --frf, or omit --{name}")
     with open_run(arguments.path, arguments.rig) as run:
         for analysis in analyses():
-            if getattr(arguments, analysis.name) not in (None, False):
+            chosen = getattr(arguments, analysis.name)
+            if chosen is not None and chosen is not False:  # 0 is chosen, as in --drop 0mm
                 return call(analysis.run, console, run, arguments)
         return _as_live(console, run, arguments)
 

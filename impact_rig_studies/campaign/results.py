@@ -151,7 +151,7 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
                 skipped.remove(frequency)
                 failure = SKIPPED
         direction = RESET
-        if once > 1:
+        if once > 1 or place >= once:
             down = job.direction is Direction.DOWN or place >= once
             direction = Direction.DOWN.value if down else Direction.UP.value
         found.append(

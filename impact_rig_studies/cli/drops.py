@@ -55,7 +55,8 @@ def run_drop(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     )
     if not math.isfinite(found.u_restitution):
         console.print(
-            f"{found.drops} drops give no uncertainty of the coefficient of restitution e: more drops are needed",
+            f"{found.drops} drops give no uncertainty of the coefficient of restitution e: state that of the heights "
+            "with --drop, or note more drops",
             style="red",
         )
         return 1

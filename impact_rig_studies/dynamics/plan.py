@@ -362,7 +362,7 @@ def _bifurcation_parts(given: Mapping[str, object], place: Place, _settings: Set
     parts: list[tuple[str, dict[str, object]]] = []
     for start in _starts(BIFURCATION, given):
         ways = {UP: [values], DOWN: [values[::-1]], BOTH: [values, values[::-1]]}
-        marched = direction != RESET
+        marched = direction != RESET and len(values) > 1
         chunks = [values[i : i + CHUNK_VALUES] for i in range(0, len(values), CHUNK_VALUES)]
         for line in ways[direction] if marched else chunks:
             name = f"{over} {line[0]:g} to {line[-1]:g}, {named(start)}"

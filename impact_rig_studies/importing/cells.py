@@ -207,7 +207,8 @@ class Times:
         """Convert the cells of a column.
 
         Raises:
-            ValueError: a cell is not a time, or its date does not exist; the message is the text of the cell.
+            ValueError: a cell is not a time, or its date does not exist; the message is the text of the cell, with the
+                order of day and month in which the column is read.
         """
         self.has_date = self.has_clock = False
         self._month_first = self._is_month_first(cells)
@@ -232,8 +233,8 @@ class Times:
     def _is_month_first(cells: Sequence[str]) -> bool:
         """Return whether dates such as 3/4/2026 begin with the month.
 
-        They do if the second number of a date is above 12. If neither number is ever above 12, they do if the separator
-        is a slash, as in the USA.
+        The first date with a number above 12 decides: they do if that is the second number. If neither number is ever
+        above 12, they do if the separator is a slash, as in the USA.
         """
         slash = False
         for cell in cells:
@@ -270,7 +271,9 @@ class Times:
         try:
             date = dt.date(year + 2000 if year < 100 else year, month, day)
         except ValueError:
-            raise ValueError(cell.strip()) from None
+            order = "month/day/year" if self._month_first else "day/month/year"
+            text = f"{cell.strip()}, read as {order} like the others" if match.re is _DAY_MONTH_YEAR else cell.strip()
+            raise ValueError(text) from None
         return date.toordinal() - _EPOCH_DAY, self._clock(parts)
 
     @staticmethod

@@ -198,7 +198,7 @@ def test_invalid_records_yield_a_status_and_no_number(method, y, status):
     assert np.isnan(found.damping_ratio)
 
 
-@given(h0=st.floats(1e-3, 10.0), e=st.floats(0.01, 1.0), u=st.floats(0.0, 1e-4))
+@given(h0=st.floats(1e-3, 10.0), e=st.floats(0.01, 1.0), u=st.floats(1e-9, 1e-4))
 def test_a_drop_test_yields_the_closed_form(h0, e, u):
     found = restitution_of_drops(np.array([h0]), np.array([e**2 * h0]), u, u)
     assert found.restitution == pytest.approx(e)

@@ -77,6 +77,19 @@ def test_an_invalid_drop_test_is_rejected(
     assert words in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_a_drop_without_an_uncertainty_of_its_heights_has_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = LocalRig(SLOW_RIG)
+    rig.run(seconds=0.5)
+    path = record(tmp_path / "one", [*scanned(rig), note("drop h0_m=0.2 h1_m=0.0245", 0)])
+    assert main(["analyze", str(path), "--drop", "0mm", "--figures", str(tmp_path), "--format", "png"]) == 1
+    assert "1 drops give no uncertainty of the coefficient of restitution e" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    assert main(["analyze", str(path), "--drop", "0.5mm"]) == 0
+
+
 @pytest.mark.parametrize(
     "remark", ["drop", "drop h0_m=1", "drop h0_m=e h1_m=-", "xdrop h0_m=1 h1_m=1", "drop h0_m=1 h1_m=1 x"]
 )

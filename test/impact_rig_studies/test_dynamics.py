@@ -784,6 +784,13 @@ exponent: {over: frequency_hz, values: [9.0, 9.1], cycles: 10, windows: 4}
 """
 
 
+@pytest.mark.parametrize("direction", ["up", "down", "both", "reset"])
+def test_a_diagram_of_one_value_has_one_motion_from_rest(direction, tmp_path):
+    (tmp_path / "one.yaml").write_text(f"bifurcation: {{over: gap_m, values: 0.02, direction: {direction}}}")
+    tasks = plan.load(tmp_path / "one.yaml", "bifurcation").tasks
+    assert [plan.direction_of(task) for task in tasks] == ["reset"]
+
+
 @pytest.mark.parametrize("kind", plan.KINDS)
 def test_an_interrupted_study_resumes_to_the_same_bytes(kind, tmp_path, capsys):
     (tmp_path / "small.yaml").write_text(SMALL)

@@ -300,7 +300,10 @@ def test_a_history_of_any_rate_keeps_its_length(tmp_path, file_hz):
 
 def test_a_response_without_a_sensor_cannot_follow_a_history(tmp_path):
     (tmp_path / "plan.yaml").write_text("response: base_acceleration")
-    with pytest.raises(ConfigError, match=r"\(base, superior, superior_acceleration\), got base_acceleration, which is computed \(.*plan"):
+    with pytest.raises(
+        ConfigError,
+        match=r"\(base, superior, superior_acceleration\), got base_acceleration, which is computed \(.*plan",
+    ):
         load(tmp_path / "plan.yaml", ReplicatePlan)
 
 
@@ -315,7 +318,9 @@ def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
     ):
         history(tmp_path / "gap.csv", 1_000, "A", "drive")
     for times in ([0.3, 0.2, 0.1], [0.3, 0.3, 0.3]):
-        (tmp_path / "back.csv").write_text("\n".join(["time [s],drive [A]", *(f"{t},{k}" for k, t in enumerate(times))]))
+        (tmp_path / "back.csv").write_text(
+            "\n".join(["time [s],drive [A]", *(f"{t},{k}" for k, t in enumerate(times))])
+        )
         for file_hz in (None, 100.0):
             with pytest.raises(ConfigError, match=r"the times do not increase: .* --file-rate HZ$"):
                 history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=file_hz)

@@ -956,6 +956,17 @@ def test_a_channel_with_another_time_base_is_recognised_and_rejected_with_a_reme
         convert(found, guess(found))
 
 
+@pytest.mark.parametrize(("first", "then", "order"), [("3/14", "14/3", "month/day"), ("14/3", "3/14", "day/month")])
+def test_dates_that_contradict_each_other_are_left_out_with_the_order_in_which_they_are_read(
+    first: str, then: str, order: str
+) -> None:
+    rows = [f"{day}/2026 1:00:0{k},{k}" for k, day in enumerate((first, first, then))]
+    left_out = text_table("\n".join(["Date,laser [mm]", *rows])).left_out
+    assert left_out == {
+        "Date": f"a time that cannot be read: {then}/2026 1:00:02, read as {order}/year like the others"
+    }
+
+
 @pytest.mark.parametrize(
     ("stem", "hz", "gap_m"),
     [

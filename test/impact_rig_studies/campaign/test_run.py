@@ -36,6 +36,7 @@ from impact_rig_studies.campaign.job import Outcome
 from impact_rig_studies.campaign.plan import load_campaign
 from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.campaign.tasks import measure
+from impact_rig_studies.operate.plans import Direction
 
 SHOWN_CURVES = ("pair, 6 mm, reset, 0.52 A", "sweep, 3 mm, up, 0.52 A", "sweep, 3 mm, down, 0.52 A")
 
@@ -152,6 +153,14 @@ def test_a_sweep_visits_up_and_down_and_keeps_the_state(tiny, measured):
     assert visits == [(9.0, "up"), (9.2, "up"), (9.2, "down"), (9.0, "down")]
     assert all(point.settled and not point.reference for point in points)
     assert points[0].dt == pytest.approx(points[3].dt, rel=0.05)
+
+
+def test_the_way_back_of_a_sweep_with_one_frequency_is_not_after_a_reset(tiny, measured):
+    one = next(one for one in tiny.planned() if one.reference and len(one.job.frequencies_hz) == 1)
+    planned = attrs.evolve(one, job=attrs.evolve(one.job, direction=Direction.UP_DOWN))
+    outcome = attrs.evolve(measured[one.job.key][1], rows=np.tile(measured[one.job.key][1].rows[:1], 2))
+    points = run.points_of(planned, outcome)
+    assert [(p.direction, p.reference, p.settled) for p in points] == [("reset", True, True), ("down", False, True)]
 
 
 def test_a_point_skipped_after_its_first_row_has_the_right_reason(tiny, measured):
