@@ -65,6 +65,7 @@ class Code(enum.IntEnum):
     OUTPUT_BUFFER_EMPTY = -200462
     READ_NO_INPUT_CHANS_IN_TASK = -200460
     WRITE_NO_OUTPUT_CHANS_IN_TASK = -200459
+    ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT = -200452
     SAMPLES_CAN_NOT_YET_BE_WRITTEN = -200292
     GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES = -200290
     SAMPLES_NOT_YET_AVAILABLE = -200284
@@ -341,8 +342,7 @@ class Board:
             if not (0 <= first < count and 0 <= last < count):
                 known = f"ai0 to ai{len(INPUTS) - 1}" if kind == "ai" else "ao0"
                 raise DaqmxError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, f"no channel {channel!r} on {device}: use {known}")
-            step = 1 if last >= first else -1
-            found += [(device, f"{kind}{number}") for number in range(first, last + step, step)]
+            found += [(device, f"{kind}{number}") for number in _numbers(first, last)]
         if not found:
             raise DaqmxError(
                 Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
@@ -374,7 +374,7 @@ class Board:
 
         Raises:
             DaqmxError: the task is running, or a channel is unknown, is in the task already or is of the other kind, or
-                `limits` are not ascending.
+                a channel of the task has its name, or `limits` are not ascending.
         """
         task.must_be_idle()
         if task.kind not in {"", kind}:
@@ -388,6 +388,10 @@ class Board:
                     Code.CHAN_ALREADY_IN_TASK, f"{device}/{channel} is in the task already: add it once only"
                 )
             named = f"{name}{number if len(found) > 1 else ''}" if name else f"{device}/{channel}"
+            if any(one.name == named for one in (*task.channels, *added)):
+                raise DaqmxError(
+                    Code.CHAN_ALREADY_IN_TASK, f"the task has a channel named {named!r} already: choose another name"
+                )
             added.append(BoardChannel(named, channel, device, *limits, per_volt, unit))
         task.channels += added
         task.kind = kind
@@ -403,7 +407,7 @@ class Board:
         known, found = {channel.name: channel for channel in task.channels}, []
         for part in filter(None, (part.strip() for part in text.split(","))):
             match = re.fullmatch(r"(.*?)(\d{1,3}):(?:.*?)(\d{1,3})", part, re.ASCII)
-            numbers = range(int(match[2]), int(match[3]) + 1) if match else ()
+            numbers = _numbers(int(match[2]), int(match[3])) if match else ()
             found += [f"{match[1]}{number}" for number in numbers] if match else [part]
         missing = [name for name in found if name not in known]
         if missing or not known:
@@ -889,3 +893,9 @@ class Board:
                 f"{wanted} samples requested, but only {task.samples - task.passed} of the {task.samples} of this "
                 "finite task are left: request at most these",
             )
+
+
+def _numbers(first: int, last: int) -> range:
+    """Return the numbers of a range of channels such as `2:0`, which may descend, with both ends."""
+    step = 1 if last >= first else -1
+    return range(first, last + step, step)

@@ -214,12 +214,12 @@ class Service:
     @_served
     def CfgInputBuffer(self, request: Any, context: Any) -> None:
         """Set the size of an input task's buffer [samples per channel]."""
-        self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
+        self._set(request, self._pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE, request.num_samps_per_chan)
 
     @_served
     def CfgOutputBuffer(self, request: Any, context: Any) -> None:
         """Set the size of an output task's buffer [samples per channel]."""
-        self.board.configure_buffer(self._task(request), request.num_samps_per_chan)
+        self._set(request, self._pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE, request.num_samps_per_chan)
 
     # Data
 
@@ -479,24 +479,35 @@ class Service:
         """Set a property of a task.
 
         Raises:
-            DaqmxError: the task or channel is unknown, or the property cannot be set on this board, not while the task
-                runs, or not to this value.
+            DaqmxError: the task or channel is unknown, or the property cannot be set on this board, not of a task of
+                this kind, not while the task runs, or not to this value.
         """
-        pb, task, attribute = self._pb, self._task(request), request.attribute_raw or request.attribute
-        value = _value(request, "value")
+        self._set(request, request.attribute_raw or request.attribute, _value(request, "value"))
+
+    def _set(self, request: Any, attribute: int, value: Any) -> None:
+        pb, task = self._pb, self._task(request)
+        lows = {pb.CHANNEL_ATTRIBUTE_AI_MIN: "ai", pb.CHANNEL_ATTRIBUTE_AO_MIN: "ao"}
+        highs = {pb.CHANNEL_ATTRIBUTE_AI_MAX: "ai", pb.CHANNEL_ATTRIBUTE_AO_MAX: "ao"}
+        buffers = {pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE: "ai", pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE: "ao"}
+        kind = (buffers | lows | highs).get(attribute, task.kind)
+        if task.kind not in {"", kind}:
+            raise DaqmxError(
+                Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT,
+                f"property {attribute} needs a task with {'inputs' if kind == 'ai' else 'an output'}",
+            )
         if attribute == pb.WRITE_ATTRIBUTE_REGEN_MODE:
             task.must_be_idle()
             mode = self._must_be(request, "value", {ALLOW_REGENERATION, DONT_ALLOW_REGENERATION})
             task.regenerates = mode == ALLOW_REGENERATION
         elif attribute == pb.READ_ATTRIBUTE_AUTO_START:
             task.auto_starts = bool(value)
-        elif attribute in {pb.BUFFER_ATTRIBUTE_INPUT_BUF_SIZE, pb.BUFFER_ATTRIBUTE_OUTPUT_BUF_SIZE}:
+        elif attribute in buffers:
             self.board.configure_buffer(task, value)
         elif attribute == pb.TIMING_ATTRIBUTE_SAMP_CLK_RATE:
             self.board.configure_clock(task, value, task.clock_samples, finite=task.samples is not None)
-        elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MIN, pb.CHANNEL_ATTRIBUTE_AO_MIN}:
+        elif attribute in lows:
             self.board.configure_range(task, request.channel, low=value)
-        elif attribute in {pb.CHANNEL_ATTRIBUTE_AI_MAX, pb.CHANNEL_ATTRIBUTE_AO_MAX}:
+        elif attribute in highs:
             self.board.configure_range(task, request.channel, high=value)
         else:
             raise DaqmxError(Code.ATTR_NOT_SUPPORTED, f"property {attribute} cannot be set on this board")

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from impact_rig import topics
 from impact_rig.blocks import WAVEFORM, Table
-from impact_rig.errors import CommandError, ConfigError, ImpactRigError
+from impact_rig.errors import CommandError, ConfigError, ImpactRigError, did_you_mean
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import SCAN
 from impact_rig.rig.config import RigConfig, from_flat, to_flat
@@ -419,15 +419,20 @@ class RigDriver(abc.ABC):
 
     @staticmethod
     def _kept_of(topic: str, kept: Mapping[str, _T]) -> _T:
-        """Return the entry of a topic in `kept`, which has the kept messages of each topic.
+        """Return the entry of a topic with tables in `kept`, which has the kept messages of each topic.
 
         Raises:
-            ConfigError: the rig keeps no messages of this topic; the message lists the topics that it keeps.
+            ConfigError: the rig keeps no messages of this topic (the message lists the topics that it keeps), or the
+                topic carries no tables.
         """
         if topic not in kept:
             names = ", ".join(sorted(kept))
             raise ConfigError(
                 f"topic {topic!r} is not kept, only {names}; name it in the argument `also` of the rig to keep it, too"
+            )
+        if topic not in _ROWS:
+            raise ConfigError(
+                f"topic {topic!r} carries no tables: `journal` returns the journal, `save` writes the other messages"
             )
         return kept[topic]
 
@@ -571,6 +576,20 @@ def first_scan_on_grid(sample: int, rate_hz: int) -> int:
     """
     tick = -(-sample * TICKS_PER_S // rate_hz)
     return -(-tick * rate_hz // TICKS_PER_S)
+
+
+def check_topics(also: Iterable[str]) -> None:
+    """Check that all topics in the argument `also` of a rig are known.
+
+    Raises:
+        ConfigError: a topic is unknown.
+    """
+    known = [topic.name for topic in topics.COMMON]
+    if unknown := next((topic for topic in also if topic not in known), ""):
+        raise ConfigError(
+            f"unknown topic {unknown!r} in the argument `also`"
+            + did_you_mean(unknown, known, ", did you mean {!r}?", f": the topics are {', '.join(sorted(known))}")
+        )
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:

@@ -427,11 +427,13 @@ class Exchange:
             number than a quarter of the rig's buffer is reduced to that quarter.
 
     Raises:
-        ConfigError: samples and scans have different rates.
+        ConfigError: samples and scans have different rates, or the lag is less than 1.
     """
 
     def __init__(self, hardware: Hardware, lag: int) -> None:
         _check_rates(hardware.rig)
+        if lag < 1:
+            raise ConfigError(f"lag of an exchange must be at least 1 sample, got {lag}")
         self._hardware = hardware
         self.lag = min(lag, hardware.rig.stream_level().capacity // 4)
         self._ahead = np.zeros(self.lag)

@@ -39,6 +39,7 @@ from impact_rig.driver.driver import (
     NoSamplesError,
     RigDriver,
     StreamLevel,
+    check_topics,
     configured,
 )
 from impact_rig.errors import ConfigError, RecordingError, did_you_mean
@@ -130,11 +131,7 @@ class LocalRig(RigDriver):
         self.core: Rig = Rig(self.config)
         self.tracker: Tracker | None = None if analysis is None else Tracker(settings)
         self._injected: deque[Fault] = deque(maxlen=KEPT_FAULTS)
-        if unknown := next((topic for topic in also if topic not in TYPES), ""):
-            raise ConfigError(
-                f"unknown topic {unknown!r} in the argument `also`"
-                + did_you_mean(unknown, TYPES, ", did you mean {!r}?", f": the topics are {', '.join(sorted(TYPES))}")
-            )
+        check_topics(also)
         names = dict.fromkeys((*TOPICS, *also, *(ANALYSED if analysis is not None else ())))
         self._kept: dict[str, deque[Any]] = {topic: deque() for topic in names}
         self._order: deque[tuple[str, Table | JournalEntry]] = deque()

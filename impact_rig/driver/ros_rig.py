@@ -41,7 +41,16 @@ from impact_rig.analysis.settings import TrackerSettings
 from impact_rig.blocks import Table
 from impact_rig.client.client import Client, Collector, Received, WaitTimeoutError, ros_parameters, subscribers
 from impact_rig.client.processes import ParameterValue, Processes, domain_of_environment, isolated_domain
-from impact_rig.driver.driver import ESSENTIAL, SCANS, STEP_TIMEOUT_S, TOPICS, RigDriver, StreamLevel, configured
+from impact_rig.driver.driver import (
+    ESSENTIAL,
+    SCANS,
+    STEP_TIMEOUT_S,
+    TOPICS,
+    RigDriver,
+    StreamLevel,
+    check_topics,
+    configured,
+)
 from impact_rig.errors import CommandError, ConfigError, ImpactRigError, RecordingError
 from impact_rig.instruments.fault import Fault
 from impact_rig.nodes.messages import header_stamp_ns
@@ -108,8 +117,8 @@ class RosRig(RigDriver):
         processes: the node processes, to stop, kill or suspend one.
 
     Raises:
-        ConfigError: a key is unknown, a value or fault is invalid, a running rig has other values, or `faults` or
-            `hosted` is given for one.
+        ConfigError: a key or topic is unknown, a value or fault is invalid, a running rig has other values, or `faults`
+            or `hosted` is given for one.
         GoneError: a node ended before it was ready; the message quotes the end of its log.
         TimeoutError: a node was not ready in time.
 
@@ -147,6 +156,7 @@ class RosRig(RigDriver):
             raise ConfigError(
                 f"{refused} is only for a new rig, but namespace={namespace!r} names a running one: omit it{remedy}"
             )
+        check_topics(also)
         base = config if isinstance(config, RigConfig) and not running else RigConfig()
         given = {} if running or isinstance(config, RigConfig) else dict(config or {})
         if not running:

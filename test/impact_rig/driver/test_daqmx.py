@@ -34,7 +34,7 @@ pytest.importorskip("nidaqmx", reason="the extra nidaqmx is not installed")
 
 import grpc
 import nidaqmx
-from nidaqmx._stubs.nidaqmx_pb2 import TASK_ATTRIBUTE_NAME
+from nidaqmx._stubs import nidaqmx_pb2
 from nidaqmx.constants import (
     AccelUnits,
     AcquisitionType,
@@ -342,6 +342,43 @@ def test_a_list_with_a_rejected_channel_adds_none_of_it(task: MakeTask) -> None:
     assert ai.channel_names == ["Dev1/ai0", "Dev1/ai1"]
 
 
+def test_a_list_of_a_tasks_channels_may_descend(task: MakeTask) -> None:
+    ai = task()
+    ai.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-10.0, max_val=10.0)
+    nidaqmx.task.channels.AIChannel(ai._handle, "Dev1/ai2:1", ai._interpreter).ai_max = 5.0
+    assert [ai.ai_channels[f"Dev1/ai{number}"].ai_max for number in range(4)] == [10.0, 5.0, 5.0, 10.0]
+
+
+def test_two_channels_of_a_task_cannot_have_one_name(task: MakeTask) -> None:
+    ai = task()
+    ai.ai_channels.add_ai_voltage_chan("Dev1/ai0", "Dev1/ai2")
+    for name in ("Dev1/ai2", ""):  # without a name, that on the board
+        with rejected(DAQmxErrors.CHAN_ALREADY_IN_TASK):
+            ai.ai_channels.add_ai_voltage_chan("Dev1/ai2", name)
+    assert ai.channel_names == ["Dev1/ai2"]
+
+
+def test_buffers_and_ranges_of_the_other_kind_of_task_are_rejected(task: MakeTask) -> None:
+    ai, ao = inputs(task()), output(task())
+    ao_of_ai = nidaqmx.task.channels.AOChannel(ai._handle, "Dev1/ai3", ai._interpreter)
+    ai_of_ao = nidaqmx.task.channels.AIChannel(ao._handle, "Dev1/ao0", ao._interpreter)
+    before = ai.in_stream.input_buf_size, ao.out_stream.output_buf_size
+    for one, names in (
+        (ai.out_stream, ["output_buf_size"]),
+        (ao.in_stream, ["input_buf_size"]),
+        (ao_of_ai, ["ao_min", "ao_max"]),
+        (ai_of_ao, ["ai_min", "ai_max"]),
+    ):
+        for name in names:
+            with rejected(DAQmxErrors.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT):
+                setattr(one, name, 300)
+    for call, one in (("CfgInputBuffer", ao), ("CfgOutputBuffer", ai)):
+        request = getattr(nidaqmx_pb2, f"{call}Request")(task=one._handle, num_samps_per_chan=300)
+        with rejected(DAQmxErrors.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT):
+            one._interpreter._invoke(getattr(one._interpreter._client, call), request)
+    assert (ai.in_stream.input_buf_size, ao.out_stream.output_buf_size) == before
+
+
 @pytest.mark.parametrize("rate_hz", [1e9, 250_001.0, 99.0, 0.0, -5.0, float("nan"), float("inf")])
 def test_an_invalid_rate_is_rejected(task: MakeTask, rate_hz: float) -> None:
     ai = inputs(task())
@@ -418,7 +455,7 @@ def test_unsupported_calls_are_rejected_as_unsupported(task: MakeTask) -> None:
     with rejected(DAQmxErrors.ATTR_NOT_SUPPORTED):
         ai.timing.samp_clk_dig_fltr_enable  # noqa: B018  # asks the server
     with rejected(DAQmxErrors.ATTR_NOT_SUPPORTED):
-        ai._interpreter.get_task_attribute_uint32(ai._handle, TASK_ATTRIBUTE_NAME)  # which is a text
+        ai._interpreter.get_task_attribute_uint32(ai._handle, nidaqmx_pb2.TASK_ATTRIBUTE_NAME)  # which is a text
 
 
 @pytest.mark.ros

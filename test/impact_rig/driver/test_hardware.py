@@ -49,6 +49,12 @@ def test_samples_and_scans_of_different_rates_cannot_be_exchanged() -> None:
             exchange()
 
 
+@pytest.mark.parametrize("lag", [0, -1])
+def test_an_exchange_needs_a_lag(lag: int) -> None:
+    with pytest.raises(ConfigError, match=f"lag of an exchange must be at least 1 sample, got {lag}"):
+        Exchange(Hardware(LocalRig(STREAM)), lag)
+
+
 # Each row of the page's table, by its first column
 
 

@@ -144,13 +144,27 @@ def test_a_topic_that_is_not_kept_is_rejected_with_a_list_of_those_that_are(star
             read("truth/scan")
 
 
+@pytest.mark.parametrize("topic", ["rig/journal", "rig/configuration"])
+def test_a_topic_without_tables_is_rejected(start: Start, topic: str) -> None:
+    rig = start(LINEAR, also=["rig/configuration"])
+    for read in (rig.tables, rig.rows):
+        with pytest.raises(ConfigError, match=rf"^topic '{topic}' carries no tables: `journal` returns the journal"):
+            read(topic)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"analysis": {"window": 8}}, "unknown setting 'window' of the analysis, did you mean 'windows'?"),
-        ({"also": ["truth/scans"]}, "unknown topic 'truth/scans' in the argument `also`, did you mean 'truth/scan'?"),
+        ({"analysis": {"xyz": 8}}, "unknown setting 'xyz' of the analysis: the settings are"),
     ],
 )
-def test_an_unknown_setting_or_topic_is_rejected(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+def test_an_unknown_setting_is_rejected(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}"):
         LocalRig(**given)
+
+
+def test_an_unknown_topic_is_rejected(start: Start) -> None:
+    words = r"^unknown topic 'truth/scans' in the argument `also`, did you mean 'truth/scan'\?$"
+    with pytest.raises(ConfigError, match=words):
+        start(also=["truth/scans"])
