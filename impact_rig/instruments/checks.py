@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rig.arithmetic.interpolation import NODES
+from impact_rig.errors import CommandError
 from impact_rig.instruments.chain import Chain, sensors
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.instrument import BOARD_KINDS
@@ -117,9 +118,10 @@ def check_known_input(
         One check per channel, in scan order.
 
     Raises:
-        CommandError: the frequency is out of range, the amplitude is not finite, or the channel of a fault is not
-            present.
+        CommandError: the frequency or the amplitude is out of range, or the channel of a fault is not present.
     """
+    if not 0.0 < fraction < math.inf:
+        raise CommandError(f"fraction of a known-input check must be finite and > 0, got {fraction!r}")
     chain = Chain(config)
     chain.clear()  # the configuration's planned faults
     for fault in faults:

@@ -124,7 +124,7 @@ class Fault:
 
         Args:
             line: kind, then `key=value` with the keys channel, start_s, duration_s, value, seed and rate_hz. A missing
-                key has its default, and so has `rate_hz=0`.
+                key has its default.
             scan_rate_hz: scans per second of the rig. Times are rounded up to whole scans.
 
         Raises:
@@ -142,7 +142,7 @@ class Fault:
                 samples=_scans(values.get("duration_s", 0.0), scan_rate_hz),
                 value=values.get("value", 0.0),
                 seed=int(values.get("seed", 0.0)),
-                rate_hz=values.get("rate_hz", 0.0) or DEFAULT_SPIKE_RATE_HZ,
+                rate_hz=values.get("rate_hz", DEFAULT_SPIKE_RATE_HZ),
             )
         except CommandError as error:
             raise ConfigError(f"{error}, in {line!r}") from error

@@ -13,10 +13,13 @@
 # limitations under the License.
 """The check with a known input passes every sound rig, and finds faulty channels."""
 
+import math
+
 import pytest
 from kits.instruments import configured
 
 from impact_rig.cli import main
+from impact_rig.errors import CommandError
 from impact_rig.instruments import Fault, check_known_input, check_polarity
 from impact_rig.instruments.section import CHANNELS
 from impact_rig.rig.config import RigConfig, dump, from_flat
@@ -52,6 +55,12 @@ def test_ideal_instruments_pass_the_check_exactly():
 def test_the_check_finds_faults_on_their_channel(fault):
     for check in check_known_input(configured(1_000), [fault]):
         assert check.ok == (check.channel != "laser"), check
+
+
+@pytest.mark.parametrize("fraction", [0.0, -0.5, math.nan, math.inf])
+def test_a_sine_without_a_positive_amplitude_is_rejected(fraction):
+    with pytest.raises(CommandError, match=f"fraction of a known-input check must be finite and > 0, got {fraction}"):
+        check_known_input(RigConfig(), fraction=fraction)
 
 
 def test_the_polarity_check_finds_swapped_wires_and_dead_channels():

@@ -16,7 +16,7 @@
 import attrs
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from kits.instruments import AnalyticMotion, configured, measured, sine
 
@@ -221,8 +221,9 @@ def test_an_invalid_fault_is_rejected_by_name(fault, message):
 
 
 @given(
-    st.integers(0, 10**9), st.integers(0, 10**9), st.integers(100, 250_000), st.floats(-1e3, 1e3), st.floats(1e-3, 1e5)
+    st.integers(0, 10**9), st.integers(0, 10**9), st.integers(100, 250_000), st.floats(-1e3, 1e3), st.floats(0.0, 1e5)
 )
+@example(0, 0, 1000, 0.0, 0.0)
 def test_a_line_of_text_describes_the_same_fault(start, samples, scan_rate, value, rate):
     fault = Fault(kind="spike_train", channel="base", start_sample=start, samples=samples, value=value, rate_hz=rate)
     assert Fault.from_line(fault.line(scan_rate), scan_rate) == fault
