@@ -525,7 +525,7 @@ class Run:
     def _refuse_hoard(self, pending: list[_Item], recorded: Sequence[_Place], coming: Iterable[_Place]) -> None:
         """Raise an error if the segments that must be in memory at the same time are too large.
 
-        A segment is a chunk, or a part of a file without chunks.
+        A segment is a chunk, or a part of a file outside chunks.
 
         Messages are yielded by log time, so a segment stays in memory until its latest message has been yielded. In a
         hostile recording, each segment has one message that is much later than its others.
@@ -774,45 +774,56 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the segments with the messages of this file, in file order: its chunks, or without chunks 1 MiB parts.
+        """Return the segments with the messages of this file, in file order: its chunks, and 1 MiB parts outside them.
 
         Without messages, the list is empty.
         """
-        chunks = [Segment.of_chunk(index) for index in self.summary.chunk_indexes]
-        return chunks if chunks or not self.statistics.message_count else list(self._outside_chunks())
+        chunks = (Segment.of_chunk(index) for index in self.summary.chunk_indexes)
+        outside = self._outside_chunks() if self.statistics.message_count else ()
+        return sorted([*chunks, *outside], key=lambda segment: segment.offset)
 
     def _outside_chunks(self) -> Iterator[Segment]:
-        """Yield segments of consecutive messages in a file without chunks.
+        """Yield segments of consecutive messages outside chunks, which most files do not have.
 
-        The heads of all records are read, because there is no index of messages outside chunks.
+        There is no index of them, so the heads of all records are read that the index does not list.
 
         Raises:
-            DamageError: a record is truncated, a message is too short, or the data section has no end.
+            DamageError: a record is truncated, a message is too short, the index lacks a chunk, or the data section has
+                no end.
         """
+        summary = self.summary
+        indexed = {one.offset: one.length for one in summary.attachment_indexes}
+        indexed |= {one.offset: one.length for one in summary.metadata_indexes}
+        for chunk in summary.chunk_indexes:
+            indexed[chunk.chunk_start_offset] = chunk.chunk_length + chunk.message_index_length
         position, view, base = len(records.MAGIC), b"", 0
         start = ended = 0
         times: list[int] = []
         channels: set[int] = set()
         while True:
-            if position + records.MESSAGE_HEAD.size > base + len(view):
-                base, view = position, os.pread(self._fd, SEGMENT_BYTES, position)
-            if len(view) - (position - base) < records.RECORD_HEAD.size:
-                raise DamageError("its data section has no end")
-            opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
-            end = position + records.RECORD_HEAD.size + length
-            if end > self.size:
-                left = self.size - position - records.RECORD_HEAD.size
-                raise DamageError(
-                    f"the record at byte {position} of the file states {length} bytes, only {left} are left"
-                )
-            if times and (opcode == records.DATA_END or end - start > SEGMENT_BYTES):
+            opcode, end = 0, position + indexed.get(position, 0)
+            if end == position:  # the index does not list it
+                if position + records.MESSAGE_HEAD.size > base + len(view):
+                    base, view = position, os.pread(self._fd, SEGMENT_BYTES, position)
+                if len(view) - (position - base) < records.RECORD_HEAD.size:
+                    raise DamageError("its data section has no end")
+                opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
+                end += records.RECORD_HEAD.size + length
+                if end > self.size:
+                    left = self.size - position - records.RECORD_HEAD.size
+                    raise DamageError(
+                        f"the record at byte {position} of the file states {length} bytes, only {left} are left"
+                    )
+            if times and (opcode in {0, records.DATA_END} or end - start > SEGMENT_BYTES):
                 size = ended - start
                 yield Segment(start, size, min(times), max(times), size, frozenset(channels), chunk=None)
                 times, channels = [], set()
             if opcode == records.DATA_END:
                 return
+            if opcode == records.CHUNK:
+                raise DamageError(f"its index lacks the chunk at byte {position}")
             if opcode == records.MESSAGE:
-                if length < records.MESSAGE_HEAD.size - records.RECORD_HEAD.size:
+                if end - position < records.MESSAGE_HEAD.size:
                     raise DamageError(f"the message at byte {position} of the file is too short")
                 _, _, channel, _, log_time, _ = records.MESSAGE_HEAD.unpack_from(view, position - base)
                 start, ended = start if times else position, end

@@ -618,8 +618,11 @@ class _Salvage:
                 elif found.opcode == records.METADATA:
                     self._take_metadata(file, found)
                 elif found.opcode in (records.SCHEMA, records.CHANNEL) and accept_unchecked:
-                    for definition in records.definitions(memoryview(file.read(found))):
-                        self._define(definition)
+                    try:
+                        for definition in records.definitions(memoryview(file.read(found))):
+                            self._define(definition)
+                    except BudgetError as error:
+                        report.note(self._damage(found, str(error)))
                 elif found.opcode == records.MESSAGE and not accept_unchecked:
                     reason = f"a message outside a chunk carries no checksum ({ACCEPT} accepts it)"
                     report.note(self._damage(found, reason))
@@ -661,7 +664,7 @@ class _Salvage:
                     if self.figures.chunks > chunks:
                         last, newest = found.offset, set(held)
                 elif isinstance(found, Found) and found.opcode == records.MESSAGE and self._accept_unchecked:
-                    yield from self._unpack(found, memoryview(file.read(found)))
+                    yield from self._messages(file, found)
         if has_tail:
             yield from self._open_chunk(last, newest)
 
@@ -705,20 +708,35 @@ class _Salvage:
         return follows
 
     def _messages(self, file: DamagedFile, found: Found) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
+        """Yield topic and message for each message in a chunk, or for one message outside chunks.
+
+        If the chunk or the message cannot be read or exceeds a limit, it is one damage in the report.
+        """
+        is_chunk = found.opcode == records.CHUNK
         try:
-            chunk = records.parse(mcap_records.Chunk, file.content(found))
-            self._report.account.chunk(chunk.uncompressed_size)
-            content = records.decompress(chunk, need_crc=not self._accept_unchecked)
-            self._report.account.records(records.count(content, most=len(content)))
-            for definition in records.definitions(content):
-                self._define(definition)
+            content = self._records(file, found) if is_chunk else memoryview(file.read(found))
             known = list(self._unpack(found, content))
         except (DamageError, BudgetError) as error:
             unchecked = isinstance(error, UncheckedError)
             self._report.note(self._damage(found, f"{error} ({ACCEPT} accepts it)" if unchecked else str(error)))
             return
-        self.figures.chunks += 1
+        self.figures.chunks += is_chunk
         yield from known
+
+    def _records(self, file: DamagedFile, found: Found) -> memoryview:
+        """Return the decompressed records of a chunk, and store the topics that they define.
+
+        Raises:
+            DamageError: the chunk cannot be read, or lacks a required checksum.
+            BudgetError: the chunk exceeds a limit.
+        """
+        chunk = records.parse(mcap_records.Chunk, file.content(found))
+        self._report.account.chunk(chunk.uncompressed_size)
+        content = records.decompress(chunk, need_crc=not self._accept_unchecked)
+        self._report.account.records(records.count(content, most=len(content)))
+        for definition in records.definitions(content):
+            self._define(definition)
+        return content
 
     def _unpack(self, found: Found, content: memoryview) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
         """Yield topic and message for each message in the records `content`, from a chunk or from outside chunks.

@@ -73,7 +73,7 @@ class Checksums:
 
 
 def checksums(run: Run) -> Checksums:
-    """Count the checksums of a recording, and check those of attachments and of data sections without chunks.
+    """Count the checksums of a recording; check those of attachments and of data with messages outside chunks.
 
     The checksums of chunks are only counted, because they are checked when the chunks are read.
 

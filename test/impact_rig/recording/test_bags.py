@@ -92,6 +92,72 @@ def test_a_file_of_every_preset_is_read(native, tmp_path, preset):
     assert some == [one for one in wanted if one[1] >= found.start_ns + 50_000_000]
 
 
+def add_outside(writer: Writer, channel: int, log_time: int, data: bytes) -> None:
+    """Close the chunk that is open, and write a message behind it, outside chunks."""
+    private = "_Writer__"
+    chunks = getattr(writer, f"{private}chunk_builder")
+    getattr(writer, f"{private}finalize_chunk")()
+    setattr(writer, f"{private}chunk_builder", None)
+    writer.add_message(channel, log_time, data, log_time)
+    setattr(writer, f"{private}chunk_builder", chunks)
+
+
+def appended(
+    path: Path, *, outside: tuple[int, ...] = (0, 1, 7, 8, 14), **options: object
+) -> list[tuple[str, bytes, int]]:
+    """Write 15 strings, some of them outside chunks, as a writer without chunks that appends to a file with chunks."""
+    sent = [("/notes", string(f"note {number}"), 10**9 + number) for number in range(15)]
+    with path.open("wb") as target:
+        writer = Writer(target, **options)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        notes = writer.register_channel("/notes", "cdr", schema)
+        for number, (_, data, log_time) in enumerate(sent):
+            if number == 8:
+                writer.add_attachment(0, 0, "a.yaml", "application/yaml", b"a: 1\n")
+            if number in outside:
+                add_outside(writer, notes, log_time, data)
+            else:
+                writer.add_message(notes, log_time, data, log_time)
+        writer.finish()
+    return sent
+
+
+@pytest.mark.parametrize("indexes", [IndexType.ALL, IndexType.ALL ^ IndexType.MESSAGE])
+def test_a_file_with_messages_in_chunks_and_outside_is_read(tmp_path, indexes):
+    path = tmp_path / "bag.mcap"
+    sent = appended(path, index_types=indexes, enable_data_crcs=True)
+    assert content(path) == sent
+    with open_run(path) as run:
+        assert [one.log_time for one in run.messages(start_ns=10**9 + 6, end_ns=10**9 + 9)] == [
+            10**9 + n for n in (6, 7, 8)
+        ]
+    found = info(path)
+    assert found.intact, found.verdict
+    assert found.verdict.startswith("every checksum fits")
+    assert recover(path, tmp_path / "strict").damage_count == 5
+    report = recover(path, tmp_path / "out", accept_unchecked=True)
+    assert report.complete
+    assert content(tmp_path / "out") == sent
+    data = bytearray(path.read_bytes())
+    data[data.index(sent[7][1]) + 12] ^= 1
+    path.write_bytes(data)
+    assert "the checksum of its data section does not match" in info(path).verdict
+
+
+def test_a_chunk_that_is_missing_in_the_index_is_not_ignored(tmp_path):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as target:
+        writer = Writer(target, index_types=IndexType.ALL ^ IndexType.CHUNK, enable_crcs=False)
+        writer.start("ros2")
+        notes = writer.register_channel("/notes", "json", 0)
+        writer.add_message(notes, 1, b"{}", 1)
+        writer._Writer__statistics.chunk_count = -1  # which the writer counts when it closes the chunk
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"bag.mcap: its index lacks the chunk at byte \d+; impact-rig recover"):
+        open_run(path)
+
+
 def test_info_reports_which_checksums_exist(native, tmp_path):
     """A checksum of 0 means that there is none."""
     without = rewrite(native, tmp_path / "without.mcap", enable_crcs=False)

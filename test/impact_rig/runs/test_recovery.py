@@ -30,6 +30,7 @@ import attrs
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from kits.recording import CONFIG, PROVENANCE, HandClock, fill, foreign_file, scan_block, string
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
@@ -431,6 +432,40 @@ def test_messages_outside_chunks_are_recovered_only_on_request(tmp_path):
     with pytest.raises(RecordingError, match=r"a message outside a chunk carries no checksum \(--accept-unchecked"):
         recover(tmp_path / "bag.mcap", tmp_path / "out")
     assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
+
+
+def test_a_message_outside_chunks_beyond_a_limit_is_one_damage(tmp_path):
+    path, big = tmp_path / "bag.mcap", zstandard.ZstdCompressor().compress(bytes(30 * 2**20))
+    broken = records.ZSTD_MAGIC + b"no frame"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        notes = writer.register_channel("/notes", "cdr", schema)
+        for number, data in enumerate((string("a"), big, big, big, broken, string("b"))):
+            writer.add_message(notes, number, data, number)
+        writer.finish()
+    report = recover(path, tmp_path / "out", accept_unchecked=True)
+    reasons = [damage.reason for damage in report.damages]
+    assert reasons[0].startswith(
+        f"{3 * 30 * 2**20} bytes in the chunks of {path.stat().st_size} bytes of files, more than"
+    )
+    assert reasons[1].startswith("a compressed message cannot be decompressed")
+    assert len(reasons) == 2
+    assert (report.messages, report.missing_messages) == (4, 2)
+
+
+def test_a_topic_outside_chunks_beyond_the_limit_is_one_damage(tmp_path, monkeypatch):
+    monkeypatch.setattr(budget, "TOPICS", 2)
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start("ros2")
+        for number in range(3):
+            writer.add_message(writer.register_channel(f"/{number}", "json", 0), number, b"{}", number)
+        writer.finish()
+    report = recover(path, tmp_path / "out", accept_unchecked=True)
+    assert (report.messages, report.damage_count) == (2, 2), "the topic, and its message"
 
 
 def test_a_chunk_that_claims_gigabytes_is_not_decompressed(tmp_path):
