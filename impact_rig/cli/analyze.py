@@ -283,7 +283,8 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     rows = found.excerpt.rows[: round(DRAWN_CYCLES / reference.frequency_hz * found.excerpt.rate_hz)]
     draw_figure(console, run, arguments, "sine", lambda: sine_fits(rows, found.fits, units, found.excerpt.rate_hz))
     if measured is None:
-        console.print("no DT: it needs the motion of structure (laser) and base, and one of them was not measured")
+        missing = " and ".join(name for name in ("laser", "base") if name not in found.fits)
+        console.print(f"no DT: it needs the motion of structure (laser) and base, but the run has no {missing}")
         return 0
     if measured.status not in MEASURED or not math.isfinite(measured.u_transmissibility):
         console.print(

@@ -19,10 +19,12 @@ import json
 import re
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 from kits.recorded_rig import SLOW_RIG, record, scanned
 
+from impact_rig.blocks import Table
 from impact_rig.cli import main
 from impact_rig.errors import RecordingError
 from impact_rig.physics.linear_response import transmissibility
@@ -165,6 +167,31 @@ def test_the_command_prints_and_draws_sines(
     for channel in ("accelerometer", "laser", "base", "current"):
         assert channel in printed
     assert "<svg" in (tmp_path / "sine.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("channels", "missing"), [(["current", "base"], "laser"), (["current"], "laser and base")])
+def test_a_run_without_laser_and_base_has_no_dt(
+    steady: Path, channels: list[str], missing: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def with_only(table: Table) -> Table:
+        rows = np.zeros(len(table.rows), [("time", "f8"), ("status", "u1"), *((name, "f8") for name in channels)])
+        for name in set(rows.dtype.names or ()) & set(table.rows.dtype.names or ()):
+            rows[name] = table.rows[name]
+        return attrs.evolve(table, rows=rows)
+
+    with open_run(steady) as run:
+        scans, drive = run.tables("daq/scan"), run.tables("shaker/applied")
+        info = next(run.tables("daq/info"))
+        rows = info.rows[: len(channels)].copy()
+        rows["name"] = [name.encode() for name in channels]
+        messages = [
+            ("daq/info", attrs.evolve(info, rows=rows)),
+            *(("shaker/applied", table) for table in drive),
+            *(("daq/scan", with_only(table)) for table in scans),
+        ]
+    directory = record(tmp_path / "run", messages)
+    assert main(["analyze", str(directory), "--sine"]) == 0
+    assert " ".join(capsys.readouterr().out.split()).endswith(f"but the run has no {missing}")
 
 
 def test_a_run_without_a_drive_has_no_sines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
