@@ -33,7 +33,7 @@ import json
 import os
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias, TypeVar
@@ -172,6 +172,30 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def code_digest(path: Path) -> str:
+    """Return the digest of the code in a Python file, without layout, comments and docstrings; of others, `digest`.
+
+    Python versions represent code differently, so equal digests prove equal code, but not the other way round.
+    """
+    import ast  # noqa: PLC0415  # only after an edit
+
+    if path.suffix != ".py":
+        return digest(path)
+    try:
+        tree = ast.parse(path.read_bytes())
+    except SyntaxError:  # while it is edited
+        return digest(path)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            node.value.value = None
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+def has_code_of(path: Path, stamp: Sequence[str]) -> bool:
+    """Return whether a file exists and has the content or the code of `stamp`, its digests at the time of a build."""
+    return path.exists() and (digest(path) == stamp[0] or code_digest(path) == stamp[1])
+
+
 def is_cut_off(path: Path) -> bool:
     """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
 
@@ -207,9 +231,9 @@ def library() -> ModuleType | None:
         sys.stderr.write(f"impact_rig: the library of kernels cannot be loaded ({why}); {BUILD}\n")
         return None
 
-    sources: dict[str, str] = json.loads(found.sources())
-    paths = ((PACKAGE / name, known) for name, known in sources.items())
-    changed = next((path for path, known in paths if not path.exists() or digest(path) != known), None)
+    sources: dict[str, list[str]] = json.loads(found.sources())
+    paths = ((PACKAGE / name, stamp) for name, stamp in sources.items())
+    changed = next((path for path, stamp in paths if not has_code_of(path, stamp)), None)
     if changed is None:
         return found
     # without this message, a program would seem to hang for minutes of compiling after an edit

@@ -49,7 +49,7 @@ import time
 from pathlib import Path
 
 from impact_rig import __version__
-from impact_rig.kernels import PACKAGE, VARIABLE, digest, library
+from impact_rig.kernels import PACKAGE, VARIABLE, code_digest, digest, has_code_of, library
 from impact_rig.kernels.header import whole
 
 FOLDER = Path(__file__).parent
@@ -110,9 +110,9 @@ def sources() -> list[Path]:
     return sorted(found | {FOLDER / name for name in OTHER_SOURCES})
 
 
-def stamps() -> dict[str, str]:
-    """Return the digest of each source file of the kernels, by its path in the package."""
-    return {str(path.relative_to(PACKAGE)): digest(path) for path in sources()}
+def stamps() -> dict[str, tuple[str, str]]:
+    """Return the digests of content and code of each source file of the kernels, by its path in the package."""
+    return {str(path.relative_to(PACKAGE)): (digest(path), code_digest(path)) for path in sources()}
 
 
 def compiler() -> list[str]:
@@ -196,8 +196,12 @@ def translated(folder: Path) -> Path:
 
 
 def _is_of_these_sources(folder: Path) -> bool:
-    stamp = folder / STAMP
-    return stamp.exists() and stamp.read_text(encoding="utf-8") == json.dumps(stamps())
+    if not (folder / STAMP).exists():
+        return False
+    known = json.loads((folder / STAMP).read_text(encoding="utf-8"))
+    return {PACKAGE / name for name in known} == {*sources()} and all(
+        has_code_of(PACKAGE / name, stamp) for name, stamp in known.items()
+    )
 
 
 def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:

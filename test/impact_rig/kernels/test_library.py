@@ -145,6 +145,39 @@ def test_a_library_of_other_sources_is_not_loaded_and_reported(
     assert "has changed since the kernels were built; run `make kernels`" in capsys.readouterr().err
 
 
+SOURCE = '''"""A law."""
+
+RATE = 2.0  # measured
+"""Rate in 1/s."""
+
+
+def rise(x: float) -> float:
+    """Return the rise."""
+    return RATE * x
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "outdated"),
+    [
+        ("measured", "estimated", False), ("A law.", "The law.", False), ("in 1/s", "[1/s]", False),
+        ("Return the", "Compute the", False), ("RATE * x", "(RATE * x)", False),
+        ("2.0", "2.5", True), ("2.0", "2", True), ("* x", "+ x", True), ("x: float", "x: int", True), ("* x", "*", True),
+    ],
+)  # fmt: skip
+def test_a_change_of_code_outdates_the_library_but_one_of_a_text_does_not(
+    tmp_path: Path, old: str, new: str, outdated: bool
+) -> None:
+    path = tmp_path / "law.py"
+    path.write_text(SOURCE, encoding="utf-8")
+    stamp = kernels.digest(path), kernels.code_digest(path)
+    path.write_text(SOURCE.replace(old, new), encoding="utf-8")
+    assert kernels.digest(path) != stamp[0]
+    assert kernels.has_code_of(path, stamp) is not outdated
+    path.unlink()
+    assert not kernels.has_code_of(path, stamp)
+
+
 @needs_library
 @pytest.mark.parametrize("kept", [0.0, 0.05, 0.5, 0.999])
 def test_a_truncated_library_is_reported_in_one_line(tmp_path: Path, kept: float) -> None:
