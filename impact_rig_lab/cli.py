@@ -24,6 +24,7 @@ import select
 import signal
 import sys
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any  # a source of either kind
 
@@ -153,7 +154,9 @@ def run(arguments: argparse.Namespace) -> int:
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:
         source: Any = None
-        stack.callback(lambda: _say_where(source))  # runs last, when the recorder has finished
+        earlier = _recordings(arguments.output)
+        # runs last, when the recorder has finished
+        stack.callback(lambda: _say_where(source, lambda: _recordings(arguments.output) - earlier))
         source = _source(arguments, stack)
         source.theory.branches = branches
         server = stack.enter_context(Server(source, arguments.host, arguments.port, kept_token(), runs))
@@ -190,19 +193,22 @@ def _check_combination(arguments: argparse.Namespace) -> None:
         raise ImpactRigError("--rig applies only to recorded runs: omit it, or name a RUN")
 
 
-def _say_where(source: Any) -> None:
-    """Print the directory of the last recording of a live source, or that there is none.
+def _recordings(directory: Path) -> set[Path]:
+    return {path.parent.resolve() for path in directory.glob("*/*.mcap")}
 
-    `source` is None if the program has failed before it had a source; one that plays recorded runs has no directory.
+
+def _say_where(source: Any, new: Callable[[], set[Path]]) -> None:
+    """Print the directory of the last recording of a live source, if there is one.
+
+    Args:
+        source: what the page showed; None if the program has failed before it had a source.
+        new: function that returns the recordings that have appeared since the start. The recorder reports its directory
+            once a second, so the newest of them is that of a lab that ended before.
     """
-    if hasattr(source, "directory"):
-        where = (
-            f"recorded: {source.directory}"
-            if source.directory
-            else "recorded: nothing, as far as the recorder has reported"
-        )
+    directory = getattr(source, "directory", None) or max(new(), default=None)
+    if directory is not None:
         with contextlib.suppress(OSError):
-            print(where, flush=True)  # noqa: T201
+            print(f"recorded: {directory}", flush=True)  # noqa: T201
 
 
 def _source(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> Any:

@@ -24,7 +24,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 
 import aiohttp
 import pytest
@@ -36,7 +35,6 @@ from impact_rig import topics
 from impact_rig.cli import main
 from impact_rig.driver.sample_run import make_sample
 from impact_rig.recording import open_run
-from impact_rig_lab import cli
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -202,21 +200,19 @@ def test_invalid_arguments_are_rejected(sample: Path, capsys: pytest.CaptureFixt
     assert "choose one" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("source", "last"),
-    [
-        (SimpleNamespace(directory=Path("runs/one")), "recorded: runs/one\n"),
-        (SimpleNamespace(directory=None), "recorded: nothing, as far as the recorder has reported\n"),
-        (SimpleNamespace(), ""),
-        (None, ""),
-    ],
-    ids=["recorded", "ended before a recording", "playback", "not started"],
-)
-def test_the_last_line_says_where_the_recording_is_or_that_there_is_none(
-    source: object, last: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cli._say_where(source)
-    assert capsys.readouterr().out == last
+@pytest.mark.ros
+def test_a_lab_that_ends_soon_after_its_start_prints_the_path_of_what_it_has_recorded(tmp_path: Path) -> None:
+    """The recorder reports its directory once a second; a recording of less than that has a path, too."""
+    pytest.importorskip("rclpy", reason="no ROS 2 here")
+    from impact_rig.client import isolated_domain
+
+    (tmp_path / "runs" / "older").mkdir(parents=True)
+    (tmp_path / "runs" / "older" / "older_0.mcap").touch()
+    with isolated_domain() as domain_id:
+        with lab(tmp_path, ROS_DOMAIN_ID=str(domain_id)):
+            wait_until(lambda: [*tmp_path.glob("runs/run_*/*.mcap")], "a recording")
+        (directory,) = tmp_path.glob("runs/run_*")
+        assert (tmp_path / "lab.log").read_text().splitlines()[-1] == f"recorded: {directory}"
 
 
 @pytest.mark.parametrize(

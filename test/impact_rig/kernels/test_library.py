@@ -162,7 +162,8 @@ def rise(x: float) -> float:
     [
         ("measured", "estimated", False), ("A law.", "The law.", False), ("in 1/s", "[1/s]", False),
         ("Return the", "Compute the", False), ("RATE * x", "(RATE * x)", False),
-        ("2.0", "2.5", True), ("2.0", "2", True), ("* x", "+ x", True), ("x: float", "x: int", True), ("* x", "*", True),
+        ("2.0", "2.5", True), ("2.0", "2", True), ("* x", "+ x", True), ("x: float", "x: int", True),
+        ("* x", "*", True),
     ],
 )  # fmt: skip
 def test_a_change_of_code_outdates_the_library_but_one_of_a_text_does_not(
