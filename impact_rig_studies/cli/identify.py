@@ -59,7 +59,8 @@ def run_identify(arguments: argparse.Namespace) -> int:
     """Fit constants to a campaign or to the paper's reductions, print them, and return the exit code, 0.
 
     The results of a campaign are written into its directory. The configuration with the constants is written only if
-    the data determine all of them and the model explains the data; otherwise an earlier one stays. For the paper's
+    the data determine all of them and the model explains the data; otherwise that of an earlier fit is removed, so that
+    the directory never holds results of two fits. For the paper's
     reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
@@ -89,13 +90,16 @@ def run_identify(arguments: argparse.Namespace) -> int:
     why = "the constants do not explain the data" if not found.consistent else ""
     if not why and not all(map(found.information.determined, NAMES)):
         why = "the data do not determine all constants"
+    configuration = arguments.directory / CONFIGURATION_FILE
     if why:
-        console.print(f"no {CONFIGURATION_FILE} is written, because {why}", style="red")
+        earlier = "; that of an earlier fit is removed" if configuration.exists() else ""
+        console.print(f"no {CONFIGURATION_FILE} is written, because {why}{earlier}", style="red")
     content = identified_content(found)
     text = json.dumps(content, indent=2, ensure_ascii=False)
+    configuration.unlink(missing_ok=True)  # first, so that an interruption does not leave results of two fits
     files.write_text(arguments.directory / JSON_FILE, f"{text}\n")
     if not why:
-        files.write_text(arguments.directory / CONFIGURATION_FILE, dump(found.config))
+        files.write_text(configuration, dump(found.config))
     if arguments.json:
         tell_json(content)
     else:

@@ -697,7 +697,7 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
 
 def _add_drawings(parser: argparse.ArgumentParser) -> None:
     """Add the options for the figures of `map` and `dynamics`."""
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures")
+    parser.add_argument("--no-figures", action="store_true", help="draw no figures; earlier ones stay")
     add_figures(parser, "directory for the figures (default: `figures` in that of the results)")
 
 
@@ -713,8 +713,8 @@ def add_identify(commands: Commands) -> None:
             ("identify --paper", "what the paper's own numbers determine"),
         ],
         "Writes identification.json into DIR, and identified.yaml, a configuration with the constants, if the data "
-        "determine all of them and the model explains the data. Exit code 0, whether identified.yaml was written or "
-        "not.",
+        "determine all of them and the model explains the data; else it removes that of an earlier fit. Exit code 0, "
+        "whether identified.yaml was written or not.",
     )
     add_json(parser)
     parser.add_argument(
