@@ -132,11 +132,16 @@ def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequenc
 def _write(folder: Path, formats: Sequence[str], target: Path, content: Content, title: str, html: str) -> Path:
     """Write the page `html` to `target`, its numbers next to it, and its figures into `folder`; return `target`.
 
+    Figures of the report that this one replaces are removed from `folder`, as they would look like its own.
+
     Raises:
         RecordingError: a file cannot be written.
     """
     try:
         files.make_folder(folder)
+        for name in kept.earlier_figures(target.parent / kept.FILE_NAME):
+            for kind in (*FIGURE_FORMATS, "csv"):
+                (folder / f"{name}.{kind}").unlink(missing_ok=True)
         for one in content.drawn:
             one.save(folder, formats)
         content.write(target.parent / kept.FILE_NAME, title)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from impact_rig.system import files
 from impact_rig_studies.report import page
 
 FILE_NAME = "report.json"
+LARGEST_BYTES = 100_000_000  # limit of an earlier `report.json` that is read
 LEAST_SHARE = 1e-6  # share of the variance below which a line of the budget is left out
 
 
@@ -79,6 +81,18 @@ def budget_rows(found: Budget) -> list[list[str | Cell]]:
     ]  # fmt: skip
     total = [number(100.0 * relative, ".2g"), number(found.u_transmissibility, ".2g"), Cell("100", 100.0)]
     return [*rows, ["combined", "standard uncertainty", "", *total]]
+
+
+def earlier_figures(path: Path) -> set[str]:
+    """Return the names of the figures of an earlier report whose `report.json` is at `path`.
+
+    Without a readable one the result is empty. Names that cannot be file names are left out.
+    """
+    try:
+        found = json.loads(files.read_bytes(path, LARGEST_BYTES))["figures"]
+        return {name for name in found if re.fullmatch(r"[\w -]{1,100}", name)}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return set()
 
 
 class Content:

@@ -81,3 +81,17 @@ def test_a_run_is_reported_with_result_uncertainty_and_conditions(one_run):
     assert paper.TITLE not in text
     figures = {path.stem for path in (one_run / "figures").glob("*.svg")}
     assert figures == {"time_traces", "spectrum"}  # a single frequency is in the table: it is no curve
+
+
+def test_a_report_removes_the_figures_of_the_report_that_it_replaces_and_no_others(one_run, tmp_path):
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "report.json").write_text(json.dumps({"figures": {"curves": {}, "../own": {}, "spectrum": {}}}))
+    for name in ("own.png", "figures/own.png", "figures/curves.png", "figures/curves.csv", "figures/spectrum.pdf"):
+        (tmp_path / name).write_text("earlier")
+    assert main(["report", str(one_run), "--output", str(tmp_path), "--format", "svg"]) == 0
+    there = {path.name for path in (tmp_path / "figures").iterdir() if path.suffix != ".csv"}
+    assert there == {"own.png", "time_traces.svg", "spectrum.svg"}
+    assert not (tmp_path / "figures" / "curves.csv").exists()
+    assert (tmp_path / "own.png").exists()
+    (tmp_path / "report.json").write_text("[")
+    assert main(["report", str(one_run), "--output", str(tmp_path), "--format", "png"]) == 0
