@@ -422,10 +422,10 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
     Args:
         data: a message of any type that starts with `std_msgs/Header`.
         members: path (a name for the result), primitive ROS type and count of each member, in the order of the message
-            and without a gap from its first member on. A text must have the count 1.
+            and without a gap from its first member on. A text must have the count 1, a negative count means a sequence.
 
     Raises:
-        CodecError: as for `header_stamp_ns`, or a member is neither a primitive number nor a text, or the message
+        CodecError: as for `header_stamp_ns`, a member is a sequence, a `wstring` or an array of texts, or the message
             ends before it.
     """
     header_stamp_ns(data)  # rejects another byte order
@@ -434,12 +434,16 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
         if kind == "string" and count == 1:
             found[path] = cursor.text(path)
             continue
-        if kind not in _PRIMITIVES:
-            raise CodecError(f"{path} must hold numbers or a single string, got {count} x {kind}")
+        if kind not in _PRIMITIVES or count < 0:
+            got = kind if count == 1 else f"{'a sequence' if count < 0 else f'an array of {count}'} of type {kind}"
+            raise CodecError(
+                f"cannot read member {path} of the message: its type must be a number, an array of numbers with fixed "
+                f"length or a single string, got {got}"
+            )
         if not 0 < count <= len(data):  # a definition may contain any count
             raise CodecError(
-                f"{path} must have 1 to {len(data)} values, because the message has {len(data)} bytes, got {count}; "
-                "correct the definition of the message type"
+                f"member {path} must have 1 to {len(data)} values, because the message has {len(data)} bytes, got "
+                f"{count}; correct the definition of the message type"
             )
         form = struct.Struct(f"<{count}{_PRIMITIVES[kind]}")
         cursor.position += (_ORIGIN - cursor.position) % struct.calcsize(_PRIMITIVES[kind])

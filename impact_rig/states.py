@@ -194,8 +194,8 @@ class Regime(Word):
 
 
 class Method(enum.StrEnum):
-    """Method by which the uncertainty of a row was found."""
+    """Method by which the uncertainty of a row of `transmissibility/table` was found."""
 
     GUM = "gum"  # combination of noise and calibration
     BATCH_MEANS = "batch_means"  # for a response that is not periodic; combined with the calibration
-    NONE = "none"
+    NONE = "none"  # the row has no uncertainty

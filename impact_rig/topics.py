@@ -125,7 +125,7 @@ JOURNAL = Topic(
     Qos.HISTORY,
     "rig",
     "Every state-changing input with its sample index, from the last `start` or `reset` on (sequence 0).",
-    (Column("data", "-", "One JSON object, see below."),),
+    (Column("data", "-", "One JSON object, see Entries of rig/journal."),),
 )
 CONFIGURATION = Topic(
     "rig/configuration",

@@ -472,7 +472,7 @@ class PlaybackSource(Source):
                 shown_s = self._impact_s if self.now_s == self._jumped_s else self.now_s - IMPACT_MARGIN_S
                 found = self._runs[0].impact_after(shown_s, value or 1.0)
                 if found is None:
-                    raise RecordingError("no further impact in the part of the run that has been read so far")
+                    raise RecordingError("no further impact in this direction in the part of the run read so far")
                 self._playing = False
                 self._move(found + IMPACT_MARGIN_S)
                 self._impact_s, self._jumped_s = found, self.now_s

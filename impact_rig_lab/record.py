@@ -325,10 +325,10 @@ class Faults:
 
 @attrs.frozen
 class Judged:
-    """Judgement of the analysis on consecutive scans: time, status and label of a row of `transmissibility/table`."""
+    """Row of `transmissibility/table` in brief: which scans were measured for it, its status and its gap label."""
 
-    begin_ns: int  # rig time of its first scan
-    end_ns: int  # rig time of its last scan
+    begin_ns: int  # rig time of the first scan measured; scans while the response settled are not included
+    end_ns: int  # rig time of the last scan measured
     status: str  # status of the measurement
     channel: str  # channel that the status concerns; empty if none
     gap_m: float  # gap according to the operator's label of the analysis; NaN without a label
@@ -363,7 +363,7 @@ class Curve:
                 self._part = None
 
     def newest(self, at_ns: int | None = None) -> Judged | None:
-        """Return time, status and label of the newest row of the analysis; None if there is none.
+        """Return the newest row of the analysis in brief; None if there is none.
 
         Args:
             at_ns: rig time up to which the scans of the row must have ended [ns]; None means now.

@@ -276,7 +276,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if run.state is SweepState.ABORTED:
             self.get_logger().error(one_line(f"sweep aborted: {run.reason}"))
         else:
-            self.get_logger().info(f"sweep finished: {run.measured} measurements")
+            self.get_logger().info(f"sweep finished: {run.measured} rows of {topics.SWEEP.name}")
 
     def _publish_new_rows(self, run: ControllerRun) -> None:
         if run.measured > self._published:

@@ -93,7 +93,11 @@ def journal_with(number: int, **members: object) -> list[JournalEntry]:
             {"kind": "fault", "fault": {"kind": "stuck", "channel": "x"}},
             "an invalid instrument fault: stuck needs a channel",
         ),
-        ({"kind": "pluck", "value": None}, "value of a journal entry must be float"),
+        ({"kind": "pluck", "value": None}, "value of a journal entry must be float or int, got None"),
+        (
+            {"kind": "command", "name": "phase", "value": 1.0},
+            "journal entry 2: name of a command must be frequency or current, got 'phase'",
+        ),
         ({"more": 1}, "unknown member 'more'"),
     ],
 )

@@ -81,7 +81,7 @@ def read(path: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(files.read_bytes(path, MAX_BYTES)))
     except OSError as error:
-        raise ConfigError(f"cannot read the interface: {error.strerror or error} ({path})") from error
+        raise ConfigError(f"cannot read the interface document: {files.reason_unreadable(error, path)}") from error
     except (ValueError, TypeError, RecursionError) as error:
         raise ConfigError(f"not a document written by `impact-rig interface --json` ({path})") from error
 

@@ -251,7 +251,10 @@ class RosRig(RigDriver):
             self.client.wait_until(self._finds_readers, "all nodes that read the rig", DISCOVERY_S)
 
     def _finds_readers(self) -> bool:
-        """Return whether this program has discovered all readers of scans that the rig's diagnostics list."""
+        """Return whether this program has discovered all readers of scans that the rig's diagnostics name.
+
+        The readers are nodes, compared by name. The result is False until diagnostics have arrived.
+        """
         figures = self.client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)

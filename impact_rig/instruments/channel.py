@@ -212,14 +212,15 @@ def respond(
     """Compute the output of all channels over some ticks, up to the volts on their cables.
 
     Args:
-        modes: SENSOR_MODE records of all channels, one channel after another.
-        channels: CHANNEL records.
+        modes: SENSOR_MODE records of all channels, one channel after another; changed in place.
+        channels: CHANNEL records; changed in place.
         clock: the scan clock.
         pieces: the pieces into which these ticks of the motion are cut.
-        coefficients: polynomial of each channel's input on each piece, shape (channels, pieces, NODES).
+        coefficients: coefficients of x^0, x^1, … of each channel's input on each piece, x = −1 … 1, shape (channels,
+            pieces, NODES).
         kicks: jump of the input's integral [unit s] at the start of each piece, shape (channels, pieces), or
             (channels, 0) without jumps.
-        buffers: buffers with room for the conversions.
+        buffers: buffers with room for the conversions; the output is appended to them.
     """
     for j in range(channels.shape[0]):
         channel = channels[j]

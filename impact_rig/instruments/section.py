@@ -49,7 +49,10 @@ def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[a
 
 @attrs.frozen(kw_only=True, field_transformer=_with_instruments)
 class Instruments:
-    """Section `instruments` of a configuration: converter, faults, and instruments under their channels' names."""
+    """Section `instruments` of a configuration: `ideal`, converter, planned faults, and settings of the instruments.
+
+    Each registered instrument has a field with the name of its channel and its default settings.
+    """
 
     ideal: bool = switch(False, "Ideal instruments: no noise, calibration error, lag, skew, quantisation or range.")
     adc: Adc = attrs.field(factory=Adc)
@@ -119,20 +122,20 @@ class InstrumentSetup(Protocol):
 
     @property
     def daq(self) -> Daq:
-        """Section `daq`, for the scan clock and the seed of noise and calibration errors."""
+        """Section `daq` of the configuration, for the scan clock and the seed of noise and calibration errors."""
 
     @property
     def instruments(self) -> Instruments:
-        """Section `instruments`: the instruments themselves, converter and faults."""
+        """Section `instruments` of the configuration: the instruments themselves, converter and faults."""
 
     @property
     def drive(self) -> Drive:
-        """Section `drive`: the end frequency of a chirp limits the time steps in which the sensors are computed."""
+        """Section `drive` of the configuration, whose end frequency of a chirp limits the sensors' time steps."""
 
     @property
     def shaker(self) -> Shaker:
-        """Section `shaker`, for the highest frequency that can be commanded."""
+        """Section `shaker` of the configuration, for the highest frequency that can be commanded."""
 
     @property
     def structure(self) -> Structure:
-        """Section `structure`, for the mass whose velocity jumps at an instantaneous impact."""
+        """Section `structure` of the configuration, for the mass whose velocity jumps at an instantaneous impact."""

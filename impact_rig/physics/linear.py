@@ -56,27 +56,27 @@ class MechanicsSetup(Protocol):
 
     @property
     def structure(self) -> Structure:
-        """Section `structure`: columns and superior base."""
+        """Section `structure` of the configuration: columns and superior base."""
 
     @property
     def shaker(self) -> Shaker:
-        """Section `shaker`: suspension, coil, and the masses of moving element and inferior base."""
+        """Section `shaker` of the configuration: suspension, coil, and masses of moving element and inferior base."""
 
     @property
     def drive(self) -> Drive:
-        """Section `drive`: kind and waveform of the drive."""
+        """Section `drive` of the configuration: kind and waveform of the drive."""
 
     @property
     def sphere(self) -> Sphere:
-        """Section `sphere`: the loose sphere."""
+        """Section `sphere` of the configuration: the loose sphere."""
 
     @property
     def barriers(self) -> Barriers:
-        """Section `barriers`: the two walls and the gap between them."""
+        """Section `barriers` of the configuration: the two walls and the gap between them."""
 
     @property
     def contact(self) -> Contact:
-        """Section `contact`: contact law and its settings."""
+        """Section `contact` of the configuration: contact law and its settings."""
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:

@@ -181,12 +181,13 @@ class Motion:
         """Return for each tick both bases' complex amplitudes, and the sphere's motion at the start, dtype `CYCLE`.
 
         Raises:
-            ValueError: a tick is not a single segment of one complete cycle of the drive.
+            ValueError: a tick is not a single segment of the drive with one complete cycle; impacts do not matter.
         """
         turns = self.segments["duration"] * self.segments["omega"]
         if len(self.segments) >= len(self.first_segment) or np.abs(turns - TWO_PI).max(initial=0.0) > _WHOLE:
             raise ValueError(
-                "cycles() needs a motion whose ticks are each a single segment of one complete cycle of the drive"
+                "cycles() needs a motion in which each tick is one segment of the drive with one complete cycle of it "
+                "(impacts do not matter)"
             )
         out = np.empty((len(self.segments), CYCLE.itemsize // 8))
         follow_cycles(self._model, self._trajectory, self._sampling.flight, out)

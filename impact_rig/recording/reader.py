@@ -336,7 +336,7 @@ class Run:
         Raises:
             RecordingError: a topic is missing (raised by the call itself), or a chunk is damaged (raised when it is
                 read; messages yielded before are valid).
-            ImpactRigError: the recording exceeds a limit of reading.
+            ImpactRigError: the recording exceeds a limit of reading (raised while messages are read).
         """
         names = None if topics is None else frozenset(self.resolve(topic) for topic in topics)
         return self._merge(names, start_ns, end_ns, recorded_order=recorded_order)
@@ -742,7 +742,7 @@ class McapSource:
             raise type(error)(f"{path}: {error}") from error
         except OSError as error:
             self.close()
-            raise RecordingError(f"cannot read {path}: {error.strerror}") from error
+            raise RecordingError(f"reading {path} failed: {error.strerror}") from error
 
     def close(self) -> None:
         """Close the file; a second call has no effect."""

@@ -747,7 +747,10 @@ class McapFile:
         self._buffer.write(record)
 
     def take_back(self) -> bytes:
-        """Close the open chunk, remove all records that wait for `commit`, and return their bytes."""
+        """Close the open chunk, remove all records that wait for `commit`, and return their bytes.
+
+        A `Tail` writes these bytes inside its own chunks instead.
+        """
         self.close_chunk()
         records = self._buffer.getvalue()
         self._buffer.empty()

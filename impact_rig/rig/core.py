@@ -475,7 +475,10 @@ class Rig:
             )
         if frequency_hz is not None:
             if self._drive.waveform != "sine":
-                raise CommandError(f"the drive is {self._drive.waveform}: it accepts no frequency, only an amplitude")
+                raise CommandError(
+                    f"the drive is {self._drive.waveform}: it accepts no frequency, only an amplitude; for a frequency,"
+                    " set drive.waveform to sine and reset the rig"
+                )
             check_frequency(frequency_hz, self.config.shaker)
         if amplitude is not None:
             check_amplitude(amplitude, self._drive, self.config.shaker)

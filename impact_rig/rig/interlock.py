@@ -246,7 +246,7 @@ def check_stream(values: NDArray[np.float64], drive: Drive, shaker: Shaker) -> N
     wrong = np.flatnonzero(~(np.abs(values) <= high))
     if len(wrong):
         got = f"got {values[wrong[0]]:g} in row {wrong[0]}, counted from 0"
-        raise CommandError(f"{name} must be >= {-high:.4g} and <= {high:.4g} {unit} ({why}), {got}")
+        raise CommandError(f"each sample must have a {name} >= {-high:.4g} and <= {high:.4g} {unit} ({why}), {got}")
 
 
 def amplitude_limit(drive: Drive, shaker: Shaker) -> tuple[str, str, float, str]:

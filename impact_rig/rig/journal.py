@@ -33,6 +33,7 @@ from impact_rig.config.tree import Value
 from impact_rig.errors import CodecError, CommandError, ConfigError
 from impact_rig.instruments.fault import Fault
 from impact_rig.instruments.section import InstrumentSetup
+from impact_rig.names import quoted
 from impact_rig.rig.config import RigConfig, differences, to_flat
 from impact_rig.simtime import stamp_ns
 from impact_rig.states import Word
@@ -149,7 +150,9 @@ class JournalEntry:
         for member, kinds in _MEMBERS.items():
             is_required = member in ("sequence", "kind", "sample", "stamp_ns")
             if (member in content or is_required) and type(content.get(member)) not in kinds:
-                raise ConfigError(f"{member} of a journal entry must be {kinds[0].__name__}: {line[:60]!r}")
+                allowed = " or ".join(kind.__name__ for kind in kinds)
+                got = quoted(content[member]) if member in content else "none"
+                raise ConfigError(f"{member} of a journal entry must be {allowed}, got {got}: {line[:60]!r}")
         try:
             kind = InputKind(content["kind"])
         except ValueError:

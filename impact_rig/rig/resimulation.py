@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.blocks import Table
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.names import quoted
 from impact_rig.physics.stream import ENDED, Buffer, Event
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.rig.core import Block, Rig
 from impact_rig.rig.interlock import check_stream
-from impact_rig.rig.journal import RESULTS, InputKind, JournalEntry, last_journal
+from impact_rig.rig.journal import InputKind, JournalEntry, last_journal
 from impact_rig.simtime import COMMAND_GRID_NS, NS_PER_S, TICKS_PER_S, first_scan_at
 
 Samples = NDArray[np.float64]
@@ -227,10 +228,11 @@ class Resimulation:
 def apply(rig: Rig, change: JournalEntry) -> None:
     """Apply the input of a journal entry to a rig at its frontier, the first time that is not yet simulated.
 
-    Entries that are results of the simulation, such as a trip, are skipped.
+    Entries that are results of the simulation, such as a trip, are skipped. There is no `start` or `reset` among the
+    inputs, because a re-simulation begins at the last one.
 
     Raises:
-        ConfigError: the entry is not allowed here, such as a second `start`, or its values are invalid.
+        ConfigError: the entry's values are invalid, or it is a command for something else than frequency or current.
         CommandError: the rig rejects the input.
     """
     if change.kind is InputKind.PARAMETER:
@@ -251,5 +253,8 @@ def apply(rig: Rig, change: JournalEntry) -> None:
         if change.value is not None and not change.value.is_integer():
             raise ConfigError(f"journal entry {change.sequence}: number of a fault must be whole, got {change.value!r}")
         rig.clear_fault(None if change.value is None else int(change.value))
-    elif change.kind not in RESULTS:
-        raise ConfigError(f"journal entry {change.sequence}: {change.kind.value!r} is not allowed within a journal")
+    elif change.kind is InputKind.COMMAND:
+        raise ConfigError(
+            f"journal entry {change.sequence}: name of a command must be frequency or current, "
+            f"got {quoted(change.name)}"
+        )

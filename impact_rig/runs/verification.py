@@ -295,7 +295,11 @@ def _overlapping(journals: list[list[JournalEntry]], sent: list[list[Sent]]) -> 
 
 
 def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first: int) -> Iterator[tuple[int, Table]]:
-    """Yield each block of scans with the index of the journal to which it belongs, from the journal `first` on."""
+    """Yield each block of scans with the index of the journal to which it belongs, from the journal `first` on.
+
+    The next journal begins with the first block that is not before its first entry. If it is of a rig that was started
+    again at the same stamp or an earlier one, such as 0, it begins with the first block whose stamp does not increase.
+    """
     number, before_ns = first, None
     for table in scans:
         while number + 1 < len(journals):

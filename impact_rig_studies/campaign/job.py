@@ -205,8 +205,8 @@ def _trace(rig: RigDriver) -> Trace:
 def columns(scans: NDArray[np.void], truth: NDArray[np.void], rate_hz: int) -> Trace:
     """Convert scans, and the true motion at the same times, into columns by name, in single precision.
 
-    The names are those of the channels and of `TRUE_COLUMNS`; all other columns are left out. An additional column
-    `time`, in double precision, has the time since the first row [s].
+    The names are those of the channels, as measured, and of `TRUE_COLUMNS`; all other columns are left out. An
+    additional column `time`, in double precision, has the time since the first row [s].
 
     Args:
         scans: consecutive rows of `daq/scan`, shape (n,).

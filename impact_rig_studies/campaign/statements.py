@@ -54,7 +54,7 @@ class Worth(enum.StrEnum):
 
 
 class MissingError(LookupError):
-    """Error that a statement cannot be judged because settled points are missing; the message names them."""
+    """Error that a settled point which a statement needs is missing; the message only names the point."""
 
 
 @attrs.frozen

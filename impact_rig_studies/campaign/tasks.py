@@ -26,6 +26,7 @@ import contextlib
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
@@ -34,6 +35,7 @@ import attrs
 
 from impact_rig.config.tree import MAX_FILE_BYTES
 from impact_rig.errors import ConfigError, RecordingError
+from impact_rig.names import quoted
 from impact_rig.rig.config import RigConfig, differences, dump, load_config, to_flat
 from impact_rig.system import budget, files
 from impact_rig.system.budget import BudgetError
@@ -173,12 +175,11 @@ class TaskStore(Generic[T]):
 
 
 def _number(value: object) -> str | float:
-    if isinstance(value, str):
-        return value
-    found = math.nan if value is None else float(value)  # type: ignore[arg-type]  # it raises
-    if math.isinf(found) or isinstance(value, bool):
-        raise ValueError("not a valid measured number")
-    return found
+    if value is None or isinstance(value, str):
+        return math.nan if value is None else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > sys.float_info.max:
+        raise ValueError(f"a stored value must be a finite number, null or text, got {quoted(value)}")
+    return float(value)
 
 
 def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:

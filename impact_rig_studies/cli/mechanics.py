@@ -183,7 +183,7 @@ def run_dynamics(arguments: argparse.Namespace) -> int:
 
 
 def _special(done: plans.FinishedStudy) -> list[dict[str, object]]:
-    """Return the key rows of a study as mappings from column to value, with None for NaN.
+    """Return the key rows of a study for JSON, as mappings from column to value, with None for NaN and infinity.
 
     These are all rows, but of a continued branch only those with an event, such as its start or a fold.
     """

@@ -190,8 +190,8 @@ def add_import(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="table of the drive commands, with the columns time [s] or stamp_ns, frequency [Hz] and, if known, "
-        "current [A], used instead of --frequency (default: one at each change of the frequency signal, or else one at "
-        "the first scan)",
+        "current [A peak], used instead of --frequency. Default: one at each change of the frequency signal, or else "
+        "one at the first scan with the value of --frequency",
     )
     parser.add_argument(
         "--calibration",
@@ -295,7 +295,12 @@ def _add_frf(tests: Commands) -> None:
     parser.add_argument(
         "--kind", choices=signals.KINDS, default=default.kind, help=f"signal of the drive (default: {default.kind})"
     )
-    parser.add_argument("--response", choices=tuple(SI), default="base", help="channel of the response (default: base)")
+    parser.add_argument(
+        "--response",
+        choices=tuple(SI),
+        default="base",
+        help="channel of the response, which is divided by that of --reference (default: base)",
+    )
     parser.add_argument(
         "--reference", choices=tuple(SI), default="current", help="channel of the reference (default: current)"
     )
@@ -732,7 +737,7 @@ def add_identify(commands: Commands) -> None:
     )
     add_recorded_rig(
         parser,
-        "namespace of the rig to read from the run of --decay, if several were recorded there (default: the only one)",
+        "namespace of the rig to read from the run of --decay; required if several are in it (default: the only one)",
     )
     parser.add_argument(
         "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"

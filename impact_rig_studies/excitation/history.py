@@ -108,7 +108,10 @@ class ReplicatePlan:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Replicated:
-    """Result of a replication after a trial: requested history, and drive and response of the best trial so far."""
+    """Result of a replication after a trial: requested history, and drive and response of the best trial so far.
+
+    The best trial is the one with the smallest error.
+    """
 
     rate_hz: int  # samples per second
     asked: Real  # requested history in the SI unit of the response, shape (n,)

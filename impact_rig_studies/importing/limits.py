@@ -51,10 +51,15 @@ def check_value_count(count: float, file_bytes: int) -> None:
 
 
 def check_expanded_bytes(size: float, file_bytes: int) -> None:
-    """Reject a file whose content of `size` bytes after decompression is far larger than the file.
+    """Reject a file whose content after decompression is far larger than the file.
+
+    Args:
+        size: bytes of content after decompression, found without decompressing, such as from the file's headers.
+        file_bytes: bytes of the file.
 
     Raises:
-        BudgetError: `size` is above `EXPANDED_BYTES` plus `EXPANDED_PER_BYTE` for each byte of the file.
+        BudgetError: `size` is above `EXPANDED_BYTES` plus `EXPANDED_PER_BYTE` for each byte of the file, multiplied by
+            IMPACT_RIG_BUDGET.
     """
     limit = EXPANDED_BYTES + EXPANDED_PER_BYTE * file_bytes
     budget.allow(f"bytes of content in a file of {file_bytes} bytes", size, limit)

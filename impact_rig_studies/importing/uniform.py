@@ -55,10 +55,13 @@ Rate = int | float  # scans per second: int for a whole number
 
 @attrs.frozen(eq=False)
 class Grid:
-    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s] after scan 0."""
+    """Signals at uniform times: the value at position i belongs to the time `index[i] / rate_hz` [s] after scan 0.
+
+    Scan 0 is the first of the file, and `index` has gaps where scans are missing.
+    """
 
     rate_hz: Rate
-    index: NDArray[np.int64]  # number of each scan from the first, with gaps where scans are missing, shape (n,)
+    index: NDArray[np.int64]  # number of each scan from the first, shape (n,)
     signals: dict[str, Real]  # values by channel, shape (n,) each
     followed: dict[str, Real]  # frequency and gap where signals give them, shape (n,) each
 

@@ -78,7 +78,12 @@ class SweepPlan:
         "Order of the frequencies: ascending, descending, or both one after the other without a reset of the rig.",
     )
     measurements_per_point: int = integer(
-        1, "-", "Number of accepted measurements at each point.", at_least=1, at_most=1000
+        1,
+        "-",
+        "Number of accepted measurements at each point: settled ones, and by default also those that had not settled "
+        "within the time limit of the analysis.",
+        at_least=1,
+        at_most=1000,
     )
     dwell_limit_s: float = quantity(
         150.0,

@@ -191,7 +191,8 @@ def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: 
     held = {"frequency_hz": task.frequency_hz, "current_a": task.current_a, "gap_m": plan.base.barriers.gap_m}
     if plan.over not in held:
         raise ConfigError(
-            f"branches over {plan.over} cannot be shown in a report, only branches over {', '.join(held)}"
+            f"branches over {plan.over} cannot be shown in a report, only branches over {', '.join(held)}; leave their "
+            "directory out of --branches"
         )
     del held[plan.over]
     at = [

@@ -362,8 +362,22 @@ def test_a_number_of_members_that_does_not_fit_the_message_is_rejected(count):
     """A definition in a file may state any number of members: none or very many must not raise Python's own errors."""
     message = b"\0\1\0\0" + bytes(12)
     assert plain(message, [("x", "uint8", 12)]) == {"x": (0,) * 12}
-    with pytest.raises(CodecError, match=r"\bx (needs|must)"):
+    with pytest.raises(CodecError, match=r"\bx (needs|must|of the message)"):
         plain(message, [("x", "uint8", count)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "count", "got"),
+    [
+        ("wstring", 1, "wstring"),
+        ("string", 3, "an array of 3 of type string"),
+        ("string", -1, "a sequence of type string"),
+        ("float64", -1, "a sequence of type float64"),
+    ],
+)
+def test_a_member_of_a_type_that_cannot_be_read_is_rejected_by_name(kind, count, got):
+    with pytest.raises(CodecError, match=rf"cannot read member a\.b of the message: .* single string, got {got}$"):
+        plain(b"\0\1\0\0" + bytes(60), [("a.b", kind, count)])
 
 
 def changed(table, name=None, value=None, drop=(), kinds=None):

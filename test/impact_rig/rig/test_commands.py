@@ -98,11 +98,18 @@ def test_a_drive_with_many_frequencies_rejects_a_frequency_command(waveform: str
     rig.advance(10 * TICK)
     rig.take_applied(), rig.take_journal()
     for command in ({"frequency_hz": 11.0}, {"frequency_hz": 11.0, "amplitude": 0.1}):
-        with pytest.raises(CommandError, match=f"the drive is {waveform}: it accepts no frequency, only an amplitude"):
+        with pytest.raises(
+            CommandError,
+            match=f"the drive is {waveform}: it accepts no frequency.*set drive.waveform to sine",
+        ):
             rig.accept(**command)
     assert (rig.take_applied(), rig.take_journal(), rig.target_amplitude) == ([], [], 0.52)
     rig.accept(amplitude=0.1)
     assert rig.target_amplitude == 0.1
+    rig.configure({"drive.waveform": "sine"})  # the remedy in the message
+    rig.reset()
+    rig.accept(frequency_hz=11.0)
+    assert rig.frequency_hz == 11.0
 
 
 def test_the_initial_drive_is_checked_like_a_command() -> None:

@@ -234,6 +234,11 @@ def test_a_damaged_line_or_one_of_other_code_is_measured_again(small, tmp_path):
         assert store.get(line) is None
         assert store.get(line) is None
         assert len(store.damaged) == ("other" not in spoilt)
+    for value, shown in ((True, "True"), (math.inf, "inf"), (10**400, "a number too large"), ([1], r"\[1\]")):
+        (tmp_path / "lines" / name).write_text(json.dumps({**good, "rows": [[value]]}))
+        store = run.store(tmp_path)
+        assert store.get(line) is None
+        assert re.search(f"a stored value must be a finite number, null or text, got {shown}", store.damaged[0])
     (tmp_path / "lines" / name).write_text(json.dumps(good))
     assert run.store(tmp_path).get(line) == measure_line(line)
 
