@@ -58,7 +58,10 @@ class Excerpt:
     settled: bool  # whether these are the scans of a settled measurement; otherwise they are the last ones of the run
 
     def newest(self, cycles: int) -> Excerpt:
-        """Return the last `cycles` drive cycles of this excerpt; all of it if it is shorter or the drive is unknown."""
+        """Return the last `cycles` drive cycles (at least one) of this excerpt.
+
+        It is all of it if it is shorter or the drive is unknown.
+        """
         scans = round(cycles / self.drive_hz * self.rate_hz) if self.drive_hz else len(self.rows)
         rows = self.rows[-scans:]
         return attrs.evolve(self, rows=rows, impact_times=self.impact_times[self.impact_times >= rows["time"][0]])

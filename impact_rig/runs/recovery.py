@@ -463,7 +463,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     Raises:
         RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be
             written.
-        ImpactRigError: the recording exceeds a limit of reading. A chunk that does is left out as damaged instead.
+        ImpactRigError: the recording exceeds a limit of reading. A chunk or message that does is left out as damaged
+            instead.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
