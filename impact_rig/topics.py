@@ -318,7 +318,7 @@ DIAGNOSTICS = Topic(
         Column("status[0].hardware_id", "-", "`impact_rig` and the namespace: one per rig."),
         Column("status[0].level", "-", "0 OK, 1 WARN, 2 ERROR."),
         Column("status[0].message", "-", "Description of the state, in one sentence."),
-        Column("status[0].values", "-", "The keys below."),
+        Column("status[0].values", "-", "See Diagnostics."),
     ),
 )
 CLOCK = Topic(

@@ -95,7 +95,7 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
             other, _ = found.setdefault((gap, frequency), (path, row))
             if other != path:
                 raise ConfigError(
-                    f"{path.name}: {case_of(gap)} at {frequency:g} Hz is already measured in {other.name}, and a "
+                    f"{path.name}: {case_of(gap)} at {frequency:g} Hz is measured in {other.name}, too, and a "
                     "campaign has one measurement of each point: import one of the two, or each without --campaign"
                 )
             found[gap, frequency] = path, row

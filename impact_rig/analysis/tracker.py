@@ -522,8 +522,9 @@ class Tracker:
             self._state = TrackerState(word, reason, stamp_ns(scan, self._rate, self._start_ns))
 
     def _begin(self, index: int) -> None:
-        """Start new cycles and windows at scan `index`, where drive, label or calibration change.
+        """Start new cycles and windows at scan `index`.
 
+        It is the first scan of all, after a reset or after lost scans, or one where drive, label or calibration change.
         Indices count from the scan at `_start_ns`. The cycles and windows use the present drive, calibration and
         settings. The column `waited` of the rows counts from there.
         """

@@ -798,7 +798,9 @@ class Client:
         request = GetParameters.Request(names=list(names))
         response = self.call(GetParameters, f"{node}/get_parameters", request)
         if len(response.values) != len(names):  # ROS then answers without any value
-            raise ConfigError(f"{node} lacks at least one of the parameters {', '.join(names)}")
+            raise ConfigError(
+                f"{node} is of another version: it lacks at least one of the parameters {', '.join(names)}"
+            )
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 
     def state(self, node: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> str:

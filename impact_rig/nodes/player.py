@@ -124,7 +124,7 @@ class Player:
         if factor is None and not peers:
             raise ImpactRigError(
                 "playback at the highest rate would lose messages: name peers that acknowledge "
-                f"{topics.SCAN.name}, or a rate"
+                f"{topics.SCAN.name} (--peers), or a rate (--rate)"
             )
         if run.end_ns > LAST_NS:
             raise RecordingError(

@@ -191,7 +191,9 @@ def call_subscription(subscription: Any, message: tuple[Any, Any]) -> Any:
 
 
 def call_timer(timer: Any) -> Any:
-    """Mark a timer as called now, which restarts its period, and call its callback.
+    """Mark a timer as called, and call its callback.
+
+    It is next due at the first time after now that is a whole number of periods after the time at which it was due.
 
     Returns:
         What the callback returns; a coroutine if it is one.

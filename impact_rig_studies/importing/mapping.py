@@ -139,7 +139,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
     try:
         content = budget.load_yaml(text, MAPPING_CHARACTERS)
     except budget.PlainYamlError as error:
-        raise ConfigError(f"the mapping is not plain YAML: {error}") from error
+        raise ConfigError(f"the mapping of signals to channels is not plain YAML: {error}") from error
     given = _section("the mapping", content)
     _refuse_unknown(
         "", given, ("rate_hz", "resample_hz", "frequency", "amplitude", "gap", "gap_mm", "notes", "channels")

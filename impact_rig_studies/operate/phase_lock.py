@@ -91,7 +91,7 @@ class Sample(NamedTuple):
 
 
 class PhasorMeter:
-    """Measurement of samples: a sine fit to scans, corrected by the calibration of the sensors.
+    """Meter that makes a `Sample` from scans: a sine fit, corrected by the calibration of the sensors.
 
     Args:
         info: rows of `daq/info`, with the calibration and the scan rate.
@@ -407,7 +407,7 @@ class LockedSine:
 
     @property
     def state(self) -> SweepState:
-        """State of the lock: idle, running, finished or aborted."""
+        """State of the lock: idle, running, finished (the dwell time is over) or aborted (see `reason`)."""
         return self._lock.state
 
     @property

@@ -555,7 +555,7 @@ def test_properties_found_in_the_data_of_a_sweep_may_differ_between_files(
     files = [str(tmp_path / f"{name}.csv") for name in ("one", "two", "three", "four")]
     words = ["--campaign", "--frequency", "9.1", "--output", str(tmp_path / "out")]
     assert main(["import", *files, str(tmp_path / "same.csv"), *words]) == 1
-    assert "same: gap 6 mm at 9.1 Hz is already measured in one" in capsys.readouterr().err
+    assert "same: gap 6 mm at 9.1 Hz is measured in one, too" in capsys.readouterr().err
     assert main(["import", *files, *words]) == 0
     infos = []
     for name in ("one", "two", "three", "four"):
@@ -652,7 +652,7 @@ def test_two_files_of_the_same_sweep_point_are_rejected(
     words = ["import", *(str(tmp_path / f"{name}.csv") for name in names), "--campaign"]
     assert main([*words, "--output", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().err
-    assert f"{second}: gap 6 mm at 9.1 Hz is already measured in {first}" in said
+    assert f"{second}: gap 6 mm at 9.1 Hz is measured in {first}, too" in said
     assert not (tmp_path / "out").exists()
     words.remove(str(tmp_path / f"{first}.csv"))
     assert main([*words, "--output", str(tmp_path / "out")]) == 0

@@ -59,7 +59,8 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         channels and rate and width in (1, 2, 3, 4, 5, 6, 7, 8) and block == width * channels and 0 < bits <= 8 * width
     ):
         raise RecordingError(
-            f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits in {block} bytes a scan"
+            f"{path}: damaged WAV header: {channels} channels, {rate} Hz, {bits} bits in {block} bytes a scan; "
+            "export the file again"
         )
     if code == FLOAT and width not in (4, 8):
         raise RecordingError(
