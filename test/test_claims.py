@@ -122,9 +122,17 @@ def supported_pythons() -> str:
     return f"Python {listed[0][0]} to {listed[0][1]}"
 
 
-def size_of_the_environment() -> str:
+def size_of(*parts: str) -> str:
     sizes = runpy.run_path(str(ROOT / "requirements" / "install.py"))["ON_DISK_MB"]
-    return f"up to {sizes['run'] + sizes['wheels']} MB of disk"
+    return f"up to {sum(sizes[part] for part in parts)} MB"
+
+
+def size_of_the_environment() -> str:
+    return size_of("run", "wheels")
+
+
+def size_of_the_tools_of_the_documentation() -> str:
+    return size_of("docs")
 
 
 def nodes() -> str:
