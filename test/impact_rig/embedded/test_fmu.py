@@ -464,7 +464,7 @@ def test_the_script_of_the_page_prints_the_dt_of_the_rig(
 ) -> None:
     page = PAGE.read_text(encoding="utf-8")
     script = re.search(r"```python[^\n]*\n(from fmpy.*?)```\n\n```text\n(.*?)```", page, re.DOTALL)
-    measures = re.search(r"The rig measures (DT \S+ ± \S+) at this drive", page)
+    measures = re.search(r"The rig measures (DT \S+ ± \S+) \(2u\) at this drive", page)
     assert script is not None
     assert measures is not None
     (tmp_path / "rig.fmu").write_bytes(path.read_bytes())
