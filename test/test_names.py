@@ -101,6 +101,7 @@ def test_only_symbols_of_the_package_are_typeset():
     assert names.plot_text("a $ sign") == r"a \$ sign"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", HOSTILE_NAMES, ids=names.file_name)
 def test_a_drawing_shows_any_name_unchanged(name, tmp_path):
     with style():

@@ -39,6 +39,8 @@ from impact_rig_lab.playback import PlaybackSource
 from impact_rig_lab.protocol import Request
 from impact_rig_lab.server import Server
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture
 def shown(sample: Path) -> Iterator[Callable[..., Server]]:

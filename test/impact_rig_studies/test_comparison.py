@@ -34,6 +34,8 @@ from impact_rig_studies.importing.mapping import Channel, Mapping
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal
 from impact_rig_studies.importing.store import write
 
+pytestmark = pytest.mark.heavy
+
 RATE_HZ = 2000
 LARGEST_OFF = 3.0
 """Standard uncertainties, by chance once in 370."""

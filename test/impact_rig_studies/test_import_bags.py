@@ -37,6 +37,8 @@ pytest.importorskip("rosbags")
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
+pytestmark = pytest.mark.heavy
+
 RATE_HZ, HZ, DT, PHASE = 125, 9.1, 10.0, np.radians(-40.0)
 BEGIN_NS = 1_700_000_000_000_000_000
 TIME_S = np.arange(1000) / RATE_HZ

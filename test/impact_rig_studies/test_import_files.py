@@ -30,6 +30,8 @@ from impact_rig.recording import open_run
 from impact_rig.runs import reanalysis
 from impact_rig_studies.importing.steps import step_of
 
+pytestmark = pytest.mark.heavy
+
 HZ, DT, PHASE = 9.1, 10.0, np.radians(-40.0)
 NAMED = ["--channel", "base=channel_0 mm", "--channel", "laser=channel_1 mm"]
 

@@ -47,6 +47,8 @@ from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, 
 from impact_rig_studies.importing.uniform import likely_rate
 from impact_rig_studies.importing.units import Sensitivity, doubt, quantity, unit_factor
 
+pytestmark = pytest.mark.heavy
+
 COUNT, RATE_HZ = 60, 125
 TIME_S = np.arange(COUNT) / RATE_HZ
 BASE, LASER = 0.1 * np.sin(2 * np.pi * 9.1 * TIME_S), np.sin(2 * np.pi * 9.1 * TIME_S - 0.7)

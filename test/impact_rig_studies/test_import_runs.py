@@ -36,6 +36,8 @@ from impact_rig_studies.importing.conversion import ImportedRun, convert
 from impact_rig_studies.importing.signals import Abscissa, AbscissaKind, ImportedSignals, Signal, even_times
 from impact_rig_studies.importing.store import write
 
+pytestmark = pytest.mark.heavy
+
 HZ, BASE_M, DT, PHASE = 9.1, 1e-4, 10.0, np.radians(-40.0)
 OMEGA = 2 * np.pi * HZ
 PER_SI = {"m": 1.0, "mm": 1e3, "µm": 1e6, "m/s": 1.0, "mm/s": 1e3, "m/s^2": 1.0, "g": 1 / 9.80665, "mm/s2": 1e3}

@@ -45,6 +45,8 @@ from impact_rig_studies.importing.signals import ImportedSignals
 from impact_rig_studies.importing.store import write
 from impact_rig_studies.measured import make_campaign
 
+pytestmark = pytest.mark.heavy
+
 RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
 MILLIMETRE = 1e-3
 

@@ -31,6 +31,8 @@ from impact_rig.recording import open_run
 from impact_rig.runs import info, reanalysis
 from impact_rig.runs.verification import verify
 
+pytestmark = pytest.mark.heavy
+
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 RATE = ("--scan-rate", "2000")
 

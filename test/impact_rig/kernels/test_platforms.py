@@ -33,7 +33,7 @@ from qualification.portability import digests  # noqa: E402
 from qualification.portability.runs import SHORT, known  # noqa: E402
 
 pytest.importorskip("numba")
-pytestmark = pytest.mark.timeout(900)  # translates where `make` has left nothing
+pytestmark = [pytest.mark.heavy, pytest.mark.timeout(900)]  # translates where `make` has left nothing
 EXACT = {"ceil", "floor", "memcpy", "memmove", "memset", "numba_frexp"}
 UNREACHED = {"NRT_MemInfo_call_dtor", "numba_gil_ensure", "numba_gil_release", "numba_unpickle"}
 """Functions that kernels.c defines for paths that no kernel takes."""

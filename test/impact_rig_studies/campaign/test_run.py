@@ -38,6 +38,8 @@ from impact_rig_studies.campaign.store import Store
 from impact_rig_studies.campaign.tasks import measure
 from impact_rig_studies.operate.plans import Direction
 
+pytestmark = pytest.mark.heavy
+
 SHOWN_CURVES = ("pair, 6 mm, reset, 0.52 A", "sweep, 3 mm, up, 0.52 A", "sweep, 3 mm, down, 0.52 A")
 
 

@@ -32,6 +32,8 @@ from impact_rig.recording import open_run
 from impact_rig.runs.verification import verify
 from impact_rig_studies.cli.parsers import SI
 
+pytestmark = pytest.mark.heavy
+
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
 

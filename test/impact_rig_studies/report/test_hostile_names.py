@@ -30,6 +30,8 @@ from impact_rig.names import file_name
 from impact_rig_studies.report import page
 from qualification.check_report import VIEWS, shown
 
+pytestmark = pytest.mark.heavy
+
 POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">')
 
 

@@ -26,6 +26,8 @@ from impact_rig.cli import main
 from impact_rig_studies.campaign import paper, run
 from impact_rig_studies.measured import _plain
 
+pytestmark = pytest.mark.heavy
+
 
 def text_of(page):
     text = re.sub(r"<(svg|style)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
