@@ -123,7 +123,7 @@ class OwnedProcesses:
     def start(self, node: str) -> Future[None]:
         """Start or restart the process of a node with its parameters, without waiting for it.
 
-        If a start of this node is in progress, no further one is begun.
+        If a start of this node is in progress, no second one begins.
 
         Args:
             node: name of the node, such as "rig".

@@ -617,9 +617,9 @@ class Board:
         """Write samples of an output task, and return their number; a call writes all of them or raises.
 
         Before the start, samples are added to the buffer; if it is full, its oldest are dropped. They replace the
-        buffer of a task that has ended, unless it was stopped since. While the task runs,
-        a buffer that the output repeats is overwritten in a circle, from where the last call ended. In a buffer that is
-        not repeated, new samples follow those that are still to be played.
+        buffer of a task that has ended, unless it was stopped since. While the task runs, a buffer that the output
+        repeats is overwritten in a circle, from where the last call ended. In a buffer that is not repeated, new
+        samples follow those that are still to be played.
 
         Args:
             task: the task.

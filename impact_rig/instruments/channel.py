@@ -253,9 +253,9 @@ def instants(channels: Records, clock: Clock, ticks: int, tick_s: float, tick_of
     """Fill in the instants at which channels without skew convert in the next `ticks` ticks.
 
     Channels have no skew with ideal instruments or without multiplexing. An instant is a tick (10 ms), counted from 0
-    in this call, and the offset into it [s]. Returns the number of instants, and
-    adds the conversions to the counters of the channels. A channel that had a skew until now may be one scan behind the
-    others. In that case it converts at all of the instants, the others at all but the first.
+    in this call, and the offset into it [s]. Returns the number of instants, and adds the conversions to the counters
+    of the channels. A channel that had a skew until now may be one scan behind the others. In that case it converts at
+    all of the instants, the others at all but the first.
     """
     earliest = channels[0].due
     for j in range(channels.shape[0]):

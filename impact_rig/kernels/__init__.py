@@ -26,6 +26,7 @@ makes arrays whose elements have named fields, in all three modes. See docs/expl
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import importlib.util
@@ -177,8 +178,6 @@ def code_digest(path: Path) -> str:
 
     Python versions represent code differently, so equal digests prove equal code, but not the other way round.
     """
-    import ast  # noqa: PLC0415  # only after an edit
-
     if path.suffix != ".py":
         return digest(path)
     try:

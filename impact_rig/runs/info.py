@@ -314,9 +314,8 @@ def _compared(numbers: NDArray[np.uint64], streams: list[losses.PublisherStream]
     A file does not name the sender of a message. The sequence numbers in the files are therefore compared with those of
     all publishers together: a number may occur once for each publisher whose range of numbers includes it, and each
     further occurrence is a duplicate. The second result is the number of messages that the recorder received, minus
-    those in the files without duplicates. Both results are 0 if
-    this comparison is impossible: some messages have no sequence number, or the account lacks the numbers of some
-    publishers.
+    those in the files without duplicates. Both results are 0 if this comparison is impossible: some messages have no
+    sequence number, or the account lacks the numbers of some publishers.
 
     Args:
         numbers: sequence numbers of the messages of a topic in the files.

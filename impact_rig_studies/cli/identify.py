@@ -60,8 +60,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
     The results of a campaign are written into its directory. The configuration with the constants is written only if
     the data determine all of them and the model explains the data; otherwise that of an earlier fit is removed, so that
-    the directory never holds results of two fits. For the paper's
-    reductions, nothing is written.
+    the directory never holds results of two fits. For the paper's reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
     if arguments.paper:

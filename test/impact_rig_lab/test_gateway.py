@@ -37,7 +37,7 @@ from impact_rig_lab.gateway import KEPT, SWEEPER, Gateway, OwnedProcesses
 from impact_rig_lab.live import LiveSource
 from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import RigView
-from impact_rig_lab.state import DEAD_S, Seen
+from impact_rig_lab.state import DEAD_S, Answer, Seen
 
 pytestmark = pytest.mark.ros
 
@@ -108,9 +108,12 @@ def answers_of(client: Client, gateway: Gateway, *requests: Request) -> Iterator
     """Run requests of a page in one event loop, and yield their answers in the order of arrival."""
     answers: queue.SimpleQueue[tuple[str, bool, str]] = queue.SimpleQueue()
 
+    def answer_to(do: str) -> Answer:
+        return lambda ok, text: answers.put((do, ok, text))
+
     async def talk() -> None:
         for request in requests:
-            gateway.begin(request, lambda ok, text, do=request.do: answers.put((do, ok, text)))  # type: ignore[misc]
+            gateway.begin(request, answer_to(request.do))
         while gateway.is_busy:
             client.executor.spin_once(timeout_sec=0.01)
             await asyncio.sleep(0)

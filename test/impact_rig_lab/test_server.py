@@ -234,11 +234,13 @@ def test_the_current_state_is_sent_before_the_answer(server: Server, source: Fak
     assert loops.run(talk()) == [FrameKind.STATE, FrameKind.REPLY]
 
 
-def test_a_stop_is_passed_on_while_a_jump_fills_the_buffers_of_a_run(server: Server, source: FakeSource) -> None:
+def test_a_stop_is_passed_on_while_a_jump_fills_the_buffers_of_a_run(
+    server: Server, source: FakeSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All pages share a loop: one that waits for the scans of its run must not delay the STOP of the live page."""
     source.scope.add(scans(0, 600), 0)
     asked = threading.Event()
-    source.ask = lambda request, answer: asked.set()  # type: ignore[method-assign]
+    monkeypatch.setattr(source, "ask", lambda request, answer: asked.set())
 
     async def talk() -> bool:
         async with aiohttp.ClientSession(timeout=TIMEOUT) as session:
