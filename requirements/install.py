@@ -147,7 +147,8 @@ def main() -> int:
     )
     say(
         f"{Path(sys.prefix).name}: installing {len(missing)} of {len(wanted)} packages ({', '.join(tiers)}) for Python "
-        f"{platform.python_version()} and {source}: up to {cost} MB on disk, a third of it to download, a minute or two"
+        f"{platform.python_version()} and {source}: up to {cost} MB on disk, less than half of it to "
+        "download, a minute or two"
     )
     try:
         code = install(missing)

@@ -77,7 +77,7 @@ _USE = "verify it with the version of impact_rig that recorded it"
 NOT_CHECKED = (
     "metadata.yaml, which other tools read",
     "packing of messages into chunks",
-    "author of the digests: a program that changes a recording can renew them",
+    "who wrote the digests: a program that changes a recording can write new ones",
 )
 """Aspects of a recording with digests that `verify` does not check, as its report lists them."""
 NOT_CHECKED_WITHOUT_DIGESTS = (
