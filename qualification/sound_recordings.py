@@ -120,6 +120,7 @@ class Stage:
         self._now_ns = START_NS
         self._tracker = Tracker()
         self._monitors: Monitors | None = None
+        self._config: RigConfig | None = None  # the one last published
         self._published: dict[str, bytes] = {}
         self._wave = 0  # number of samples of the stream sent so far
         self._streams = bool(dict(kind.values).get("drive.waveform") == "stream")
@@ -154,6 +155,9 @@ class Stage:
             self._tracker.configure(calibration)
         self.send_once(topics.INFO.name, codec.encode(calibration))
         noise = dict(zip(calibration.rows["name"].astype(str), calibration.rows["noise"].tolist(), strict=True))
+        if self.rig.config is self._config:
+            return
+        self._config = self.rig.config
         text = serialize_message(String(data=dump(self.rig.config)))
         if self._published.get(topics.CONFIGURATION.name) != text:
             self._monitors = Monitors(self.rig.config, noise, self._monitors)
