@@ -209,7 +209,8 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
 
 
 def _missing(names: Sequence[str]) -> str:
-    return f"column {', '.join(map(repr, names))} is missing"
+    listed = ", ".join(map(repr, names))
+    return f"column {listed} is missing" if len(names) == 1 else f"columns {listed} are missing"
 
 
 @attrs.frozen(eq=False)

@@ -175,7 +175,10 @@ def compare(
         raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model{hint}")
     if known is None:
         attached = run.attachments().get(CONFIGURATION)
-        known = RigConfig() if attached is None else parse(attached)
+        try:
+            known = RigConfig() if attached is None else parse(attached)
+        except ConfigError as error:
+            raise ConfigError(f"{error} ({CONFIGURATION} stored in {run.path})") from error
     on_step("measuring the run")
     found = list(reanalysis.analyze(run))
     measured = reanalysis.newest_settled(reanalysis.measurements(iter(found)))

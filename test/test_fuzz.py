@@ -138,10 +138,10 @@ def test_a_table_without_its_columns_is_rejected_by_name(topic: str, rows: np.nd
 @pytest.mark.parametrize(
     ("column", "value", "words"),
     [
-        ("rate", 1e12, "rate must be the same in all rows, above 0 and at most 1e"),
+        ("rate", 1e12, "rate must be the same for all channels, above 0 and at most 1e"),
         ("since_start", np.nan, "since_start, the time from scan 0 to the stamp, must be within .* got nan; correct"),
         ("name", b"laser", "each once, got"),
-        ("noise", 1e200, "noise must be at most 1e"),
+        ("noise", 1e200, "noise must be within ±1e"),
     ],
 )
 def test_an_invalid_calibration_is_rejected(column: str, value: object, words: str) -> None:

@@ -108,6 +108,9 @@ COLUMNS = (
 LARGEST = 1e100  # limit of every figure, so that its square does not overflow
 
 
+_REMEDY = "correct the program that publishes it"
+
+
 @attrs.frozen(eq=False)
 class Calibration:
     """Calibration of the channels: the columns of `daq/info`, each as an array in the order of `scans.CHANNELS`."""
@@ -155,7 +158,7 @@ class Calibration:
         if counts.max() != 1:
             raise ConfigError(
                 f"daq/info must list one or more of the channels {', '.join(CHANNELS)}, each once, got "
-                f"{', '.join(names) or 'no rows'}; correct the program that publishes it"
+                f"{', '.join(names) or 'no rows'}; {_REMEDY}"
             )
         present = counts == 1
         measured = [names.index(channel) for channel in CHANNELS if channel in names]
@@ -165,16 +168,20 @@ class Calibration:
         rate = float(ordered["rate"][0])
         if not (np.all(ordered["rate"] == rate) and 0 < rate <= MOST_HZ):
             raise ConfigError(
-                f"daq/info: rate must be the same in all rows, above 0 and at most {MOST_HZ:g} Hz, "
-                f"got {ordered['rate'].tolist()}"
+                f"daq/info: rate must be the same for all channels, above 0 and at most {MOST_HZ:g} Hz, "
+                f"got {_by_channel(ordered['rate'], present)}; {_REMEDY}"
             )
         if not np.all(ordered["range_low"] < ordered["range_high"]):
             raise ConfigError(
-                f"daq/info: range_low must be < range_high in every row, got {ordered['range_low'].tolist()} and "
-                f"{ordered['range_high'].tolist()}"
+                "daq/info: range_low must be < range_high, got range_low "
+                f"{_by_channel(ordered['range_low'], present)} and range_high "
+                f"{_by_channel(ordered['range_high'], present)}; {_REMEDY}"
             )
         if not set(ordered["lag_order"].tolist()) <= set(LAG_MODELS):
-            raise ConfigError(f"daq/info: lag_order must be one of 0, 1, 2, got {ordered['lag_order'].tolist()}")
+            raise ConfigError(
+                f"daq/info: lag_order must be one of 0, 1, 2, got {_by_channel(ordered['lag_order'], present)}; "
+                f"{_REMEDY}"
+            )
         known = {name: ordered[name] for name in COLUMNS if name in (ordered.dtype.names or ())}
         is_own = bool(set(STEPS) - set(known))  # written by this package before it had these columns: its steps round
         none = np.zeros(len(CHANNELS))
@@ -187,7 +194,8 @@ class Calibration:
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(
-                    f"daq/info: {name} must be at most {LARGEST:g}, or inf for no limit, got {values.tolist()}"
+                    f"daq/info: {name} must be within ±{LARGEST:g}, or infinite, got {_by_channel(values, present)}; "
+                    f"{_REMEDY}"
                 )
         figures = [_finite(known[name]) for name in COLUMNS]
         derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])
@@ -340,6 +348,12 @@ class Calibration:
         model = LAG_MODELS[int(self.lag_order[channel])]
         step = 1e-6
         return complex(np.log(model(omega_lag * (1 + step)) / model(omega_lag * (1 - step))) / (2 * step))
+
+
+def _by_channel(column: NDArray[np.float64], present: NDArray[np.bool_]) -> str:
+    """Return the values of the channels that are present, each with the name of its channel, for an error message."""
+    found = zip(CHANNELS, column.tolist(), present.tolist(), strict=True)
+    return ", ".join(f"{value!r} ({name})" for name, value, there in found if there)
 
 
 def _finite(column: NDArray[np.float64]) -> Real:

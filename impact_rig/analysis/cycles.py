@@ -211,7 +211,7 @@ class Accumulator:
             ValueError: `count` is below 1, or fewer than `count` cycles are complete.
         """
         if not 0 < count <= self.pending_cycles:
-            raise ValueError(f"count must be 1 to {self.pending_cycles}, got {count}")
+            raise ValueError(f"count must be >= 1 and <= {self.pending_cycles} (complete cycles), got {count}")
         sums, flags, jump = (np.concatenate(parts) for parts in zip(*self._done, strict=True))
         self._done = [(sums[count:], flags[count:], jump[count:])] if len(sums) > count else []
         numbers = np.arange(self._cycle, self._cycle + count + 1)

@@ -136,10 +136,11 @@ def frf(
         )
     if not 0.0 <= overlap < 1.0:
         raise ValueError(f"overlap must be >= 0 and < 1, got {overlap}")
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
-        raise ValueError("x (excitation) and y (response) must be finite")
-    if np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
-        raise ValueError("x (excitation) and y (response) must not be constant")
+    for name, values in (("x (excitation)", x), ("y (response)", y)):
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} must be finite, got a sample that is NaN or infinite")
+        if np.ptp(values) == 0.0:
+            raise ValueError(f"{name} must not be constant, got {values[0]:g} in all samples")
     shared = int(overlap * segment)
     options = {"fs": rate_hz, "window": window, "nperseg": segment, "noverlap": shared}
     frequency, s_xx = scipy.signal.welch(x, **options)

@@ -98,11 +98,13 @@ def samples_of(rows: NDArray[np.void], name: str) -> NDArray[np.float64]:
     return np.array(rows[name], dtype=np.float64) if present else np.zeros(len(rows))
 
 
-def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = ()) -> None:
+def need_columns(
+    table: Table, wanted: np.dtype[np.void], topic: str, later: Collection[str] = (), why: str = ""
+) -> None:
     """Check that a table has the columns of the row type `wanted`, with numbers and texts where that type has them.
 
     The columns named in `later` may be missing: earlier versions did not write them, or the channel was not measured.
-    `topic` is the name in the message of the error.
+    `topic` is the name in the message of the error, and `why` its reason for a missing column, in parentheses.
 
     Raises:
         ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.
@@ -110,11 +112,11 @@ def need_columns(table: Table, wanted: np.dtype[np.void], topic: str, later: Col
     found = table.rows.dtype
     if found == wanted:
         return
-    remedy = "correct the program that publishes it, and record again"
+    remedy = "correct the program that publishes it (a recording of it must be made again)"
     names = found.names or ()
     missing = [name for name in wanted.names or () if name not in names and name not in later]
     if missing:
-        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}; {remedy}")
+        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}{why}; {remedy}")
     for name in set(names).intersection(wanted.names or ()):
         is_text = found[name].kind == "S"
         if is_text != (wanted[name].kind == "S"):

@@ -209,7 +209,8 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
     unknown = sorted(set(values) - {attribute.name for attribute in attrs.fields(TrackerSettings)})
     if unknown:
         raise ConfigError(
-            f"analysis/settings has an unknown key: {', '.join(unknown)} (perhaps a setting of a later version)"
+            f"analysis/settings has an unknown key: {', '.join(unknown)}; if a later version of this package published "
+            "it, install that version"
         )
     return TrackerSettings(**{key: _as_set(getattr(defaults, key), value) for key, value in values.items()}), gap_m
 

@@ -77,7 +77,7 @@ def transient_bias(windows: Complex, measured: int) -> complex:
         ValueError: not 8 <= measured <= n.
     """
     if not 8 <= measured <= len(windows):
-        raise ValueError(f"measured must be 8 to {len(windows)} windows, all that are given, got {measured}")
+        raise ValueError(f"measured must be >= 8 and <= {len(windows)} (the number of windows), got {measured}")
     mean = complex(windows[-measured:].mean())
     spans = [span for span in (8, 16) if span <= len(windows)]
     return max((mean - _limit(windows[-span:].reshape(4, -1).mean(axis=1)) for span in spans), key=abs)

@@ -258,12 +258,12 @@ class AddressedActivation:
             instance = instance or self._first
             if instance != self._instance:
                 raise RigGoneError(
-                    f"{what}: the rig is gone, and another rig has started: repeat the call to address that one"
+                    f"{what}: the rig has ended or was activated again: repeat the call to address the present one"
                 )
             now = self._clock()
             self._is_gone |= self._is_there and now - max(self._reported_at, since) > silence_s
             if self._is_gone:
-                quiet_s = now - self._reported_at
+                quiet_s = now - (self._reported_at if math.isfinite(self._reported_at) else since)
                 raise RigGoneError(
                     f"{what}: the rig is gone: no report from it for {quiet_s:.1f} s; start a rig and repeat the call"
                 )
@@ -799,7 +799,8 @@ class Client:
         response = self.call(GetParameters, f"{node}/get_parameters", request)
         if len(response.values) != len(names):  # ROS then answers without any value
             raise ConfigError(
-                f"{node} is of another version: it lacks at least one of the parameters {', '.join(names)}"
+                f"node {node} lacks at least one of the parameters {', '.join(names)}, ROS 2 does not report which: "
+                "correct the names, or start the node from the version of this program"
             )
         return {name: parameter_value_to_python(value) for name, value in zip(names, response.values, strict=True)}
 

@@ -335,9 +335,10 @@ class RigDriver(abc.ABC):
         """
         blocks, rest = divmod(sample - self.sample, self.block_scans)
         if rest or blocks < 0:
+            way = f"from which it advances by multiples of {self.block_scans} samples (whole blocks)"
             raise ConfigError(
-                f"cannot run to sample {sample}: {self.name} is at sample {self.sample}, from which it advances by "
-                f"multiples of {self.block_scans} samples (whole blocks)"
+                f"cannot run to sample {sample}: {self.name} is at sample {self.sample}, "
+                f"{'already past it' if blocks < 0 else way}"
             )
         if blocks:
             self.step(blocks)
@@ -426,10 +427,11 @@ class RigDriver(abc.ABC):
                 topic carries no tables.
         """
         if topic not in kept:
-            names = ", ".join(sorted(kept))
-            raise ConfigError(
-                f"topic {topic!r} is not kept, only {names}; name it in the argument `also` of the rig to keep it, too"
-            )
+            known = [one.name for one in topics.COMMON]
+            remedy = "name it in the argument `also` of the rig to keep it, too"
+            if topic not in known:
+                remedy = "it is no topic of a rig" + did_you_mean(topic, known, ", did you mean {!r}?")
+            raise ConfigError(f"topic {topic!r} is not kept, only {', '.join(sorted(kept))}; {remedy}")
         if topic not in _ROWS:
             raise ConfigError(
                 f"topic {topic!r} carries no tables: `journal` returns the journal, `save` writes the other messages"

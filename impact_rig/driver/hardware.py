@@ -229,7 +229,7 @@ class AnalogOutput:
             self._playing = False
             raise UnderrunError(
                 f"underrun: {lost} samples were not written in time, the rig is at sample {level.sample}; "
-                "write earlier or with a larger buffer_s, and start again",
+                "write earlier or with a larger buffer (buffer_s, drive.stream_buffer_s), and call `start` again",
                 lost,
             )
         return lost
@@ -410,7 +410,7 @@ class Hardware:
                 scan = self.rig.first_scan(table) + int(beyond[0])
                 reading, unit = table.rows[channel][beyond[0]], INSTRUMENTS[channel].unit
                 raise CommandError(
-                    f"aborted: {channel} reads {reading:.6g} {unit}, beyond the limit {limit:g} {unit}, at scan {scan}"
+                    f"aborted: {channel} reads {reading:.6g} {unit}, beyond the limit ±{limit:g} {unit}, at scan {scan}"
                 )
 
 

@@ -166,7 +166,7 @@ class LocalRig(RigDriver):
             chunk = self.core.blocks_with_samples(1 if one_by_one else min(blocks, BATCH_BLOCKS))
             if chunk == 0:
                 raise NoSamplesError(
-                    f"the drive stream has no samples for {blocks} blocks: {self.stream_level()}; feed them first"
+                    f"the drive stream lacks samples for the next block: {self.stream_level()}; feed more first"
                 )
             blocks -= chunk
             found = self.core.advance(self.core.block_end_ns(chunk))

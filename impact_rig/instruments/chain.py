@@ -157,7 +157,7 @@ class Chain:
             ("instruments.faults.planned", present.instruments.faults.planned, config.instruments.faults.planned),
         ):
             if old != new:
-                raise ConfigError(f"{key} cannot change without a reset: the current value is {old}, got {new}")
+                raise ConfigError(f"{key} is fixed at start: it is {old}, got {new}; create a new rig to change it")
         if config.instruments == self._config.instruments:
             self._config = config
             self._shorten_pieces(config.shaker.frequency_max_hz)

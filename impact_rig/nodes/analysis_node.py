@@ -65,7 +65,7 @@ class AnalysisSettings(TrackerSettings):
     def __attrs_post_init__(self) -> None:
         super().__attrs_post_init__()
         if UNKNOWN_GAP < self.gap_m < 0:
-            raise ConfigError(f"gap_m must be > 0 m, 0 for no sphere, or -1 for unknown, got {self.gap_m:g}")
+            raise ConfigError(f"gap_m must be > 0 and <= 1 m, 0 for no sphere, or -1 for unknown, got {self.gap_m!r}")
 
 
 class AnalysisNode(ManagedNode[AnalysisSettings]):

@@ -119,7 +119,8 @@ class Player:
     ) -> None:
         if peers and chosen and run.name(topics.SCAN) not in map(run.name, chosen):
             raise ImpactRigError(
-                f"peers acknowledge {topics.SCAN.name}: include it in the chosen topics, or name no peers"
+                f"peers acknowledge {topics.SCAN.name}: include it in the chosen topics (--topics), or name no peers "
+                "(--peers)"
             )
         if factor is None and not peers:
             raise ImpactRigError(

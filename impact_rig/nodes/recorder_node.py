@@ -411,7 +411,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
             self.get_logger().warning(
-                f"no message on {names} in the first {AWAIT_S:g} s: recording continues without these messages"
+                f"no message on {names} more than {AWAIT_S:g} s after the recording began: it no longer waits for them"
             )
             self._awaited = set()
         if self._writer is not None:
@@ -540,7 +540,9 @@ def run_directory(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError as error:  # an unknown user, as in ~unknown
-        raise RecordingError(f"directory {text!r} cannot be used: {error}; write its path without ~") from error
+        raise RecordingError(
+            f"directory {text!r} cannot be used: the home directory of its user is unknown; write its path without ~"
+        ) from error
 
 
 def calibration_yaml(info: Table) -> str:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from impact_rig.arithmetic.elementary import PI, TWO_PI
 from impact_rig.arithmetic.random import BandNoise, Random, band_pass
 from impact_rig.config import Drive, Shaker
-from impact_rig.errors import CommandError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.kernels import REALS, Fields, Reals, Records, entry, kernel, room
 from impact_rig.physics.flight import SEGMENT
 from impact_rig.physics.stream import Stream
@@ -112,7 +112,7 @@ class FunctionGenerator:
             it ramps to zero after a stop.
 
     Raises:
-        CommandError: the upper end of a random drive's band is too high for noise with one value per tick.
+        ConfigError: the upper end of a random drive's band is too high for noise with one value per tick.
     """
 
     def __init__(self, drive: Drive, shaker: Shaker, random: Random) -> None:
@@ -131,7 +131,7 @@ class FunctionGenerator:
         self._noise: BandNoise | None = None
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / self._tick_s:
-                raise CommandError(
+                raise ConfigError(
                     f"drive.random_high_hz must be < {0.45 / self._tick_s:g} Hz, because the noise has one value per "
                     f"{self._tick_s:g} s, got {drive.random_high_hz:g} Hz"
                 )

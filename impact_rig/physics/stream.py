@@ -199,7 +199,7 @@ class Stream:
             ahead = (self.time_ns(first + len(values)) - self.time_ns(self.played)) / NS_PER_S
             raise CommandError(
                 f"the block of samples is rejected, because it reaches {ahead:.6g} s ahead of the rig, beyond "
-                f"drive.stream_buffer_s = {self._buffer_s:g} s: send the samples beyond that later"
+                f"drive.stream_buffer_s = {self._buffer_s:g} s: send fewer samples, and the others later"
             )
         self.buffer.ends = {end for end in self.buffer.ends if end >= self.played}  # the others have taken effect
         late = min(len(values), max(0, self.played - first))

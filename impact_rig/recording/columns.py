@@ -68,8 +68,8 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             dtype = table.rows.dtype
         elif dtype != table.rows.dtype:
             raise RecordingError(
-                f"topic {topic} changes its columns at the stamp {table.stamp_ns} ns, so its rows do not form one "
-                "table; read its messages one by one with Run.tables in Python"
+                f"{run.path}: topic {topic} changes its columns at the stamp {table.stamp_ns} ns, so its rows do "
+                "not form one table; read its messages one by one with Run.tables in Python"
             )
         origin_ns = table.stamp_ns if origin_ns is None else origin_ns
         tables.append(table)
@@ -79,7 +79,7 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             yield _joined(tables, earlier, origin_ns)
             tables, earlier, waiting = [], [], 0
     if dtype is None:
-        raise RecordingError(f"topic {topic} has no message in this recording: choose another topic")
+        raise RecordingError(f"{run.path}: topic {topic} has no message in this recording: choose another topic")
     if tables:
         yield _joined(tables, earlier, origin_ns or 0)
 

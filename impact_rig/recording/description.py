@@ -313,7 +313,8 @@ def _read(package: str, kind: str, prefixes: Sequence[Path], wanted_by: str) -> 
         return text
     looked = ", ".join(str(prefix / "share") for prefix in prefixes)
     raise RecordingError(
-        f"{wanted_by} is not installed: no {package}/msg/{kind}.msg in {looked}; source the ROS 2 workspace that has it"
+        f"no definition of {wanted_by}: {package}/msg/{kind}.msg is not in {looked}; source the ROS 2 workspace that "
+        "has it"
     )
 
 

@@ -308,9 +308,8 @@ class Run:
         name = self.name(wanted)
         if name not in self.topics:
             there = ", ".join(sorted(self.topics)) or "none"
-            raise RecordingError(
-                f"no topic {wanted if isinstance(wanted, str) else wanted.name!r} in this recording; there are: {there}"
-            )
+            text = wanted if isinstance(wanted, str) else wanted.name
+            raise RecordingError(f"{self.path}: no topic {text!r} in this recording; there are: {there}")
         return name
 
     def messages(
@@ -446,7 +445,8 @@ class Run:
         name = self.resolve(topic)
         type_name = self.topics[name].topic.type_name
         if type_name != topics.TABLE:
-            raise RecordingError(f"topic {name} carries {type_name}, not tables ({topics.TABLE})")
+            carried = type_name or "messages of an unknown type"
+            raise RecordingError(f"{self.path}: topic {name} carries {carried}, not tables ({topics.TABLE})")
         return name
 
     def _with_messages(self) -> list[McapSource]:
@@ -623,8 +623,8 @@ def run_files(path: Path) -> list[Path]:
     missing = [file.name for file in listed if not file.exists()]
     if missing:
         raise RecordingError(
-            f"{path}: {', '.join(sorted(missing))} is missing ({description.METADATA_FILE} lists it): copy it there, "
-            "or save the other files with impact-rig recover"
+            f"{path} lacks {', '.join(sorted(missing))}, listed in its {description.METADATA_FILE}: copy what is "
+            "missing there, or save the other files with impact-rig recover"
         )
     found = listed or mcap_files(path) or sorted(path.glob("*.db3")) or sorted(path.glob("*.mcap.zstd"))
     if not found:
@@ -695,7 +695,7 @@ def _items(
         for number, raw in enumerate(records.messages(content, wanted)):
             topic, data = topics.get(raw.channel_id), raw.data
             if topic is None:
-                raise DamageError(f"a message belongs to the unknown channel {raw.channel_id}")
+                raise DamageError(f"a message belongs to the MCAP channel {raw.channel_id}, which its index lacks")
             if topic.encoding == description.SERIALIZATION and bytes(data[:4]) == records.ZSTD_MAGIC:
                 data = records.plain_message(data, budget.raised(budget.CHUNK_BYTES))
                 account.chunk(len(data))
@@ -948,7 +948,7 @@ class McapSource:
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             view = memoryview(os.pread(self._fd, length, offset))
         if len(view) != length:
-            raise DamageError("the file is shorter than its index says")
+            raise DamageError("the file has become shorter since it was opened")
         found, content, end = records.split(view, 0)
         if found != opcode or end != length:
             raise DamageError("the record at its position is of another kind or length")
@@ -1036,7 +1036,7 @@ def parse_summary(section: memoryview) -> Summary:
     if statistics is None:
         raise DamageError("its index has no statistics")
     if statistics.chunk_count != len(chunks):
-        raise DamageError(f"its index lists {len(chunks)} of {statistics.chunk_count} chunks")
+        raise DamageError(f"its index lists {len(chunks)} chunks, but counts {statistics.chunk_count}")
     for what, listed, count in (
         ("topics", len(found.channels), statistics.channel_count),
         ("message definitions", len(found.schemas), statistics.schema_count),

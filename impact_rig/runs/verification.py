@@ -882,7 +882,10 @@ class _Monitor:
         assert topic is not None
         self.channel = channel
         schema = run.topics[run.resolve(topic)].topic.schema if run.holds(topic) else ""
-        layout = members(schema) if schema else []
+        try:
+            layout = members(schema) if schema else []
+        except RecordingError as error:
+            raise RecordingError(f"{run.path}: {topic}: {error}") from error
 
         def read(message: Message) -> tuple[int, dict[str, Any]]:
             return codec.header_stamp_ns(message.data), codec.plain(message.data, layout)

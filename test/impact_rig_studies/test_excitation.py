@@ -137,7 +137,7 @@ def test_random_control_ends_at_a_trip_and_keeps_its_results():
 
 def test_a_reading_beyond_the_abort_limit_ends_a_test():
     rig = Hardware(hardware(sphere__present=False).rig, {"base": 1e-5})
-    with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit 1e-05 m, at scan"):
+    with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit ±1e-05 m, at scan"):
         list(control(rig, RandomPlan(averages=4)))
 
 

@@ -330,5 +330,5 @@ def test_the_state_of_an_output_is_current_without_other_calls() -> None:
 
 def test_a_reading_beyond_its_limit_ends_the_test() -> None:
     hardware = Hardware(LocalRig(STREAM), {"current": 0.1})
-    with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit 0\.1 A, at scan"):
+    with pytest.raises(CommandError, match=r"aborted: current reads .*, beyond the limit ±0\.1 A, at scan"):
         hardware.respond(WAVE)

@@ -67,7 +67,7 @@ def test_a_command_off_the_grid_of_instants_is_rejected(at_sample: int) -> None:
 def test_a_command_in_the_past_is_rejected() -> None:
     rig = LocalRig(LINEAR)
     rig.run(1.0)
-    with pytest.raises(ConfigError, match="cannot run to sample 100: rig is at sample 10000"):
+    with pytest.raises(ConfigError, match="cannot run to sample 100: rig is at sample 10000, already past it"):
         rig.command(current_a=0.1, at_sample=100)
 
 

@@ -140,6 +140,8 @@ def test_the_truth_of_every_scan_is_available_on_request(start: Start) -> None:
 def test_a_topic_that_is_not_kept_is_rejected_with_a_list_of_those_that_are(start: Start) -> None:
     rig = start(LINEAR)
     for read in (rig.tables, rig.rows):
+        with pytest.raises(ConfigError, match=r"'daq/scans' is not kept, .* no topic of a rig, did you mean 'daq/s"):
+            rig.tables("daq/scans")
         with pytest.raises(ConfigError, match=r"'truth/scan' is not kept, only daq/info, daq/scan, .*`also`"):
             read("truth/scan")
 

@@ -26,7 +26,7 @@ from scipy import signal
 
 from impact_rig.arithmetic.random import Random
 from impact_rig.config import Drive, Shaker
-from impact_rig.errors import CommandError
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.physics import FunctionGenerator
 
 TICK_S = 0.01
@@ -188,5 +188,7 @@ def test_a_stream_accepts_no_amplitude_but_zero():
 
 
 def test_a_band_above_the_rate_of_the_noise_is_rejected():
-    with pytest.raises(CommandError, match=r"random_high_hz must be < 45 Hz, .* one value per 0\.01 s, got 50 Hz"):
+    with pytest.raises(
+        ConfigError, match=r"^drive.random_high_hz must be < 45 Hz, .* one value per 0\.01 s, got 50 Hz"
+    ):
         generator(waveform="random", random_high_hz=50.0)

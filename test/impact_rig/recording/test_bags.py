@@ -196,7 +196,7 @@ WITHOUT = {  # options of rosbag2's storage configuration that leave out parts o
     "noRepeatedChannels": ({"repeat_channels": False}, "its index lists 0 of 5 topics"),
     "noRepeatedSchemas": ({"repeat_schemas": False}, "its index lists 0 of 5 message definitions"),
     "noStatistics": ({"use_statistics": False}, "its index has no statistics"),
-    "noChunkIndex": ({"index_types": IndexType.ALL ^ IndexType.CHUNK}, "its index lists 0 of 1 chunks"),
+    "noChunkIndex": ({"index_types": IndexType.ALL ^ IndexType.CHUNK}, "its index lists 0 chunks, but counts 1"),
     "noSummary": ({**NO_SUMMARY, "index_types": IndexType.NONE}, "it has no index"),
 }
 
@@ -398,7 +398,7 @@ def test_older_metadata_with_the_folder_in_paths_is_read(native, tmp_path):
     path.write_text(yaml.safe_dump(metadata))
     assert content(bag) == content(native)
     next(bag.glob("*.mcap")).unlink()
-    with pytest.raises(RecordingError, match=r"is missing .metadata.yaml lists it"):
+    with pytest.raises(RecordingError, match=r"lacks .*, listed in its metadata.yaml"):
         open_run(bag)
 
 

@@ -298,7 +298,7 @@ def test_schemas_without_ros_equal_those_of_an_installation(type_name, monkeypat
 
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Nothing", "nowhere_msgs/msg/Thing"])
 def test_the_error_of_an_absent_interface_names_the_searched_folders(name):
-    with pytest.raises(RecordingError, match=rf"{name} is not installed: no .*\.msg in .*share"):
+    with pytest.raises(RecordingError, match=rf"no definition of {name}: .*\.msg is not in .*share"):
         schema_text(name)
 
 

@@ -168,7 +168,7 @@ def test_a_missing_part_is_named(record):
     with record(max_file_duration_ns=100_000_000) as writer:
         fill(writer, 50)
     writer.files[1].unlink()
-    with pytest.raises(RecordingError, match=r"run_1.mcap is missing \(metadata.yaml lists it\)"):
+    with pytest.raises(RecordingError, match=r"lacks run_1.mcap, listed in its metadata.yaml"):
         open_run(writer.directory)
 
 
