@@ -171,7 +171,9 @@ def compare(
     kind, channel = DRIVES[chosen]
     if not calibration.present[channel]:
         other = "base" if chosen == "current" else "current"
-        hint = f"; use --drive {other}" if calibration.present[DRIVES[other][1]] else ""
+        hint = (
+            f"; use --drive {other}" if calibration.present[DRIVES[other][1]] else f"; {other} was not measured either"
+        )
         raise ConfigError(f"{run.path}: {chosen} was not measured, so it cannot drive the model{hint}")
     if known is None:
         attached = run.attachments().get(CONFIGURATION)

@@ -43,7 +43,8 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     found = restitution_of_drops(np.array([one.h0_m for one in drops]), np.array([one.h1_m for one in drops]), u_m, u_m)
     if found.status is not Status.OK:
         raise RecordingError(
-            f"{run.path}: its {len(drops)} drops give no coefficient of restitution ({found.status.value}): every "
-            "height must be finite and > 0, and no rebound higher than its drop by over three standard uncertainties"
+            f"{run.path}: the drops noted in it ({len(drops)}) give no coefficient of restitution "
+            f"({found.status.value}): every height must be finite and > 0, and no rebound higher than its drop by over "
+            "three standard uncertainties of their difference"
         )
     return drops, found

@@ -240,7 +240,7 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                 for future, made in done.next_batch():
                     job = running.pop(future)
                     if future.status != "finished":
-                        lost.append(f"{job.describe()}: {future.exception()}")
+                        lost.append(f"{job.describe()}: {future.exception() or future.status}")
                     elif made.code != code:
                         if made.worker not in wrong:
                             wrong[made.worker] = made.code
@@ -257,7 +257,8 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
                 yield from finished
         if lost:
             raise ImpactRigError(
-                f"{len(lost)} jobs failed on the cluster; run the command again to repeat them. The first: {lost[0]}"
+                f"jobs that failed on the cluster: {len(lost)}; run the command again to repeat them. The first: "
+                f"{lost[0]}"
             )
 
     return run

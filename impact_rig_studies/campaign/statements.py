@@ -205,7 +205,9 @@ def peak_hz(curves: Curves, gap_m: float) -> float:
     top = max(range(len(curve)), key=lambda i: curve[i][1].dt, default=0)
     near = curve[max(top - 1, 0) : top + 2]
     if len(near) < 3 or near[2][0] - near[0][0] > 2.0 * PEAK_STEP_HZ:
-        raise MissingError(f"three settled points 0.01 Hz apart, the middle one with the highest DT, {case_of(gap_m)}")
+        raise MissingError(
+            f"three settled points at most 0.01 Hz apart, the middle one with the highest DT, {case_of(gap_m)}"
+        )
     (left, a), (middle, b), (right, c) = ((frequency, point.dt) for frequency, point in near)
     rise, fall = (b - a) / (middle - left), (c - b) / (right - middle)
     return (left + middle) / 2.0 + rise * (right - left) / (2.0 * (rise - fall))

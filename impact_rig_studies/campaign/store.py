@@ -27,6 +27,7 @@ import io
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -188,7 +189,7 @@ class Store:
                 size = sum(member.file_size for member in archive.infolist())
                 names = archive.namelist() if size <= MAX_TRACE_BYTES else []
                 arrays = {name.removesuffix(".npy"): _column(archive.read(name)) for name in names}
-        except (OSError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, EOFError) as error:
+        except (OSError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
             raise DamagedPointError(f"{path} is not a valid stored trace: {why}") from error
         if size > MAX_TRACE_BYTES:
@@ -256,7 +257,7 @@ class _Checked:
             raise self._wrong(key, f"{len(rows)} rows", f"at most {most} rows")
         for i, row in enumerate(rows):
             if not isinstance(row, dict):
-                raise self._wrong(f"{key}[{i}]", row, "a row")
+                raise self._wrong(f"{key}[{i}]", row, "a mapping of columns to values")
             _Checked(self._path, row, f"{key}[{i}].").row()
         return [row for row in rows if isinstance(row, dict)]
 

@@ -34,7 +34,7 @@ def by_columns(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[s
         RecordingError: the table is empty.
     """
     if not rows:
-        raise RecordingError("nothing was measured yet, so there is nothing to export: run the study first")
+        raise RecordingError("nothing was measured yet, so there is nothing to export: run the campaign or study first")
     found: dict[str, NDArray[np.generic]] = {}
     for name, cells in zip(names, zip(*rows, strict=True), strict=True):
         texts = any(isinstance(cell, str) for cell in cells)

@@ -63,7 +63,11 @@ def run_play(arguments: argparse.Namespace) -> int:
 
 def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -> None:
     if not samples.any():
-        raise ConfigError(f"{arguments.file}: the signal is zero throughout, so there is nothing to play or to follow")
+        options = "--scale and --seconds" if "seconds" in arguments else "--scale"
+        raise ConfigError(
+            f"{arguments.file}: the signal is zero throughout, with {options} applied, so there is nothing to play or "
+            "to follow"
+        )
 
 
 def run_frf(arguments: argparse.Namespace) -> int:

@@ -128,7 +128,8 @@ def _measured(done: run.Finished, arguments: argparse.Namespace, console: Consol
     if decay is not None:
         if decay.status is not Status.OK:
             why = REASONS.get(decay.status, decay.status.value)
-            raise ImpactRigError(f"the free decay cannot be measured: {why}; leave it out with --without decay")
+            whose = f"of {arguments.decay}" if arguments.decay else "simulated for this campaign"
+            raise ImpactRigError(f"the free decay {whose} cannot be measured: {why}; leave it out with --without decay")
         console.print(
             f"free decay: f_n {plus_minus(decay.natural_frequency_hz, decay.u_natural_frequency_hz)} Hz, "
             f"ζ {plus_minus(decay.damping_ratio, decay.u_damping_ratio)} (2u)"

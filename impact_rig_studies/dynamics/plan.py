@@ -242,6 +242,11 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
     plan = load(kept.file, kind, kept.configuration())
     done = finished(plan, directory)
     if not done.rows:
+        if any(kept.get(task) is not None for task in plan.tasks):
+            raise ConfigError(
+                f"{directory}: the study {kind} has no points, because {UNRESOLVED} from any of its starts; change "
+                "these, the drive or the rig in the file of the study, and run it into another directory"
+            )
         raise ConfigError(
             f"{directory} has no results of the study {kind} from this version of the code; run "
             f"impact-rig dynamics {kind} {kept.file} --output {directory}"

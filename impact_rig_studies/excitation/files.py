@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from fractions import Fraction
 from pathlib import Path
 from typing import TypeVar
@@ -52,7 +53,7 @@ def load(path: Path, kind: type[P]) -> P:
     Raises:
         ConfigError: the file cannot be read, or a key or value is wrong; the message names key, value and file.
     """
-    return load_plan(path, "excitation", lambda document, _: read(document, kind))
+    return load_plan(path, "the plan of the test", lambda document, _: read(document, kind))
 
 
 def read(document: object, kind: type[P]) -> P:
@@ -67,7 +68,8 @@ def read(document: object, kind: type[P]) -> P:
     """
     fields = {one.name: one for one in attrs.fields(kind)}
     if not isinstance(document, dict):
-        raise ConfigError(f"a mapping is needed, with keys from {', '.join(fields)}; got {str(document)[:60]!r}")
+        shown = "nothing" if document is None else repr(str(document)[:60])
+        raise ConfigError(f"a mapping is needed, with keys from {', '.join(fields)}; got {shown}")
     values: dict[str, object] = {}
     for key, value in document.items():
         if key not in fields:
@@ -189,15 +191,14 @@ def _of_run(path: Path, name: str) -> tuple[NDArray[np.float64], float, str]:
         raise ConfigError(f"{path} has no channel {name!r}; choose one by --signal NAME: {', '.join(channels)}")
     rows = np.concatenate([table.rows[name] for table in tables]).astype(float)
     seconds = (tables[-1].stamp_ns - tables[0].stamp_ns) * 1e-9 + float(tables[-1].rows["time"][-1])
-    if not seconds > 0.0:
-        raise RecordingError(
-            f"{path}: the complete run has {len(rows)} scans in {seconds:g} s, too few to play; record at least two"
-        )
-    rate_hz = (len(rows) - 1) / seconds
+    if len(rows) < 2:
+        raise RecordingError(f"{path}: the run has only one scan, too few to play; record at least two")
+    rate_hz = (len(rows) - 1) / seconds if seconds > 0.0 else math.nan
     for table, after in itertools.pairwise(tables):
-        if abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) > 0.5:
+        if not abs((after.stamp_ns - table.stamp_ns) * 1e-9 * rate_hz - len(table.rows)) <= 0.5:
             raise RecordingError(
-                f"{path}: scans are missing in the run, but a signal to play must have no gap; use another run"
+                f"{path}: scans of the run are missing or out of order, but a signal to play must have no gap; use "
+                "another run"
             )
     return rows, round(rate_hz, 3), units[name]
 
@@ -213,12 +214,14 @@ def _of_file(path: Path, name: str | None, unit: str, file_hz: float | None) -> 
     rate = one.rate_hz
     if rate is None and one.time_s is not None and len(one.time_s) > 1:
         rate = _even_rate(path, one.time_s)
+    if file_hz is not None and not 0.0 < file_hz < math.inf:
+        raise ConfigError(f"--file-rate must be > 0 Hz and finite, got {file_hz:g}")
     if rate is not None and file_hz is not None:
         raise ConfigError(f"{path}: the file states {rate:g} samples per second: omit --file-rate")
     rate = rate or file_hz
     if rate is None or not rate > 0.0:
         raise ConfigError(
-            f"{path}: the file states neither times nor a rate, so it cannot be played: add its samples "
+            f"{path}: the file states neither a rate nor two times or more, so it cannot be played: add its samples "
             "per second with --file-rate HZ"
         )
     return one.values, rate, unit or one.unit

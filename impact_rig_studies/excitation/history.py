@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
+from impact_rig.errors import ConfigError
 from impact_rig_studies.excitation.response import Response
 from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
@@ -318,6 +319,11 @@ def _identify(
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
+    if not low_hz < high_hz:
+        raise ConfigError(
+            f"low_hz must be < high_hz, and < {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
+            f"{plan.low_hz:g} and high_hz = {plan.high_hz:g}"
+        )
     excitation = Excitation(
         kind=PSEUDO,
         frames=FRAMES,

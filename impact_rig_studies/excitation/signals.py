@@ -67,8 +67,8 @@ class Excitation:
         budget.allow(f"samples of {self.frames} frames at {rate_hz} Hz", (self.frames + 1) * length, MOST_SAMPLES)
         if not self.low_hz < self.high_hz < 0.5 * rate_hz:
             raise ConfigError(
-                f"the band of the excitation must be ascending and end below {0.5 * rate_hz:g} Hz, half of the sample "
-                f"rate, got {self.low_hz:g} to {self.high_hz:g} Hz"
+                f"low_hz must be < high_hz, and high_hz < {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
+                f"{self.low_hz:g} and high_hz = {self.high_hz:g}"
             )
         if self.kind == BURST:
             on = round(self.burst * length)

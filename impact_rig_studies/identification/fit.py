@@ -504,8 +504,8 @@ class _Profile:
         first = [one for theta in starts if (one := self._fit(self._nominal, theta, nuisance)) is not None]
         if not first:
             raise SimulationError(
-                f"with each of the {len(starts)} starts of the fit, the motion with the sphere cannot be simulated at "
-                "some measured gap, or a constant leaves its range: check sphere and contact law in the "
+                f"no start of the fit (of {len(starts)}) leads to a result: the motion with the sphere cannot be "
+                "simulated at some measured gap, or a constant leaves its range; check sphere and contact law in the "
                 "configuration of the known rig, the gaps, and the measured current"
             )
         if self._u == 0.0:

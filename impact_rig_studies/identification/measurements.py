@@ -272,7 +272,7 @@ def recorded_decay(run: Run, method: DecayMethod = fit_decay) -> Decay:
             decay.add(table)
     if not decay.count:
         raise RecordingError(
-            f"{run.path}: no scans later than {SETTLE_S:g} s after the last pluck and before a reset, so that the run "
-            f"contains no free decay; record about {RECORD_S:g} s after the pluck"
+            f"{run.path}: no block of scans begins later than {SETTLE_S:g} s after the last pluck and before a reset, "
+            f"so that the run contains no free decay; record about {RECORD_S:g} s after the pluck"
         )
     return measure_decay(decay.rows(), info.rows, method)

@@ -532,6 +532,15 @@ def test_a_study_with_only_chaotic_starts_has_no_result(tmp_path, capsys):
     assert "no orbit from left: the motion does not repeat: it is chaotic" in capsys.readouterr().out
 
 
+def test_a_section_without_points_is_not_taken_for_a_missing_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(MapRig, "measure", lambda *_: NOTHING)
+    (tmp_path / "study.yaml").write_text("section: {cycles: 1}")
+    words = ["dynamics", "section", str(tmp_path / "study.yaml"), "--workers", "1", "--no-figures"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 1
+    with pytest.raises(ConfigError, match="has no points, because the motion cannot be simulated from any of its"):
+        plan.open_study(tmp_path / "out", "section")
+
+
 @pytest.mark.parametrize("kind", ["orbit", "continue", "exponent"])
 def test_the_printed_table_and_the_data_contain_start_and_branch(kind, tmp_path, capsys):
     (tmp_path / "small.yaml").write_text(SMALL)

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from pathlib import Path
 
@@ -326,6 +327,9 @@ def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
                 history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=file_hz)
     (tmp_path / "back.csv").write_text("drive [A]\n0\n1\n2")
     assert len(history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=100.0)) == 30
+    for file_hz in (0.0, -5.0, math.inf, math.nan):
+        with pytest.raises(ConfigError, match=f"--file-rate must be > 0 Hz and finite, got {file_hz:g}"):
+            history(tmp_path / "back.csv", 1_000, "A", "drive", file_hz=file_hz)
 
 
 def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
@@ -346,9 +350,12 @@ def test_a_run_with_a_gap_is_not_accepted_as_a_history(tmp_path):
     with pytest.raises(ConfigError, match="omit --file-rate"):
         history(tmp_path / "whole", 2_000, "A", file_hz=100.0)
     record(tmp_path / "holed", whole[:50] + whole[51:])
-    with pytest.raises(RecordingError, match="must have no gap"):
+    with pytest.raises(RecordingError, match="missing or out of order, but a signal to play must have no gap"):
         history(tmp_path / "holed", 2_000, "A")
+    record(tmp_path / "restarted", [whole[0], *scans[50:], *scans[:1]])
+    with pytest.raises(RecordingError, match="missing or out of order"):
+        history(tmp_path / "restarted", 2_000, "A")
     one = [("daq/scan", Table(table.stamp_ns, table.rows[:1])) for _, table in scans[:1]]
     record(tmp_path / "one", [*whole[:1], *one])
-    with pytest.raises(RecordingError, match="1 scans in 0 s"):
+    with pytest.raises(RecordingError, match="the run has only one scan"):
         history(tmp_path / "one", 2_000, "A")

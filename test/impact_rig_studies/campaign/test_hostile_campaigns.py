@@ -96,7 +96,7 @@ def stored(tmp_path: Path) -> tuple[Store, Job, Path]:
         ("lost_scans", "1" + 400 * "0", "lost_scans must be a number"),
         ("lost_scans", "1" + 5000 * "0", "is not a valid stored result: Exceeds the limit"),
         ("rows", "{}", "rows must be a list, got {}"),
-        ("rows", "[3]", "rows[0] must be a row, got 3"),
+        ("rows", "[3]", "rows[0] must be a mapping of columns to values, got 3"),
         ("skipped_hz", "[null]", "skipped_hz must be a number"),
         ("wall_s", "3.25", "was changed after it was stored"),
     ],
@@ -169,6 +169,20 @@ def test_an_invalid_stored_trace_is_reported_in_one_line(
             archive.writestr(name, content)
     with pytest.raises(DamagedPointError, match=re.escape(words)):
         store.get(job, as_it_is=True)
+
+
+def test_a_stored_trace_with_damaged_compression_is_measured_again(stored: tuple[Store, Job, Path]) -> None:
+    store, job, file = stored
+    path = file.with_suffix(".npz")
+    with zipfile.ZipFile(path) as archive:
+        first = archive.infolist()[0]
+        at = first.header_offset + 30 + len(first.filename)
+    content = bytearray(path.read_bytes())
+    at += content[first.header_offset + 28]  # extra field
+    content[at] |= 0x06  # a reserved type of block
+    path.write_bytes(content)
+    assert store.get(job) is None
+    assert "is not a valid stored trace: Error -3 while decompressing" in store.damaged[0]
 
 
 def test_a_stored_trace_that_would_fill_the_memory_is_not_unpacked(stored: tuple[Store, Job, Path]) -> None:

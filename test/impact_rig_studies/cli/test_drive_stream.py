@@ -168,7 +168,7 @@ def test_invalid_arguments_are_rejected_by_name(tmp_path, capsys, words, says):
             "none of 57 excited lines has a coherence above 0.9",
         ),
         (("drive", "play", "one.csv"), "current error cannot be computed"),
-        (("drive", "play", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
+        (("drive", "play", "one.csv", "--scale", 0), "zero throughout, with --scale and --seconds applied"),
         (("drive", "replicate", "zeros.csv"), "zeros.csv: the signal is zero throughout"),
     ],
 )
@@ -193,11 +193,20 @@ def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys,
         (("drive", "frf", "--frames", "1000000000"), "samples of 1000000000 frames"),
         (("drive", "frf", "--frame-s", "1e9"), "samples of 20 frames"),
         (("drive", "frf", "--drive-seed", "-1"), "seed must be"),
+        (
+            ("drive", "frf", "--high-hz", "3"),
+            "low_hz must be < high_hz, and high_hz < 1000 Hz, half of the sample rate",
+        ),
+        (
+            ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "band.yaml"),
+            "half of the sample rate, got low_hz = 100 and high_hz = 30",
+        ),
     ],
 )
 def test_an_unplayable_signal_is_rejected_before_the_rig_runs(tmp_path, capsys, words, says):
     (tmp_path / "drive.csv").write_text("time,current\n0,0\n0.001,0.1\n0.002,0\n")
-    words = [tmp_path / word if word.endswith(".csv") else word for word in words]
+    (tmp_path / "band.yaml").write_text("low_hz: 100\nhigh_hz: 30")
+    words = [tmp_path / word if word.endswith((".csv", ".yaml")) else word for word in words]
     assert run(*words, "--output", tmp_path / "run") == 1
     assert says in capsys.readouterr().err.replace("'", "")
     for word in ("nan", "inf", "0", "-1"):
