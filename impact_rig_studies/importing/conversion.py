@@ -29,7 +29,7 @@ from impact_rig import topics
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.analysis.settings import GapLabel
 from impact_rig.blocks import DAQ_INFO, Column, row_type
-from impact_rig.errors import ConfigError, RecordingError, did_you_mean
+from impact_rig.errors import ConfigError, ImpactRigError, RecordingError, did_you_mean
 from impact_rig.simtime import NS_PER_S, stamp_ns
 from impact_rig_studies.importing import units
 from impact_rig_studies.importing.mapping import CALIBRATION, OTHER_UNIT, Channel, Mapping
@@ -104,7 +104,10 @@ def convert(
         if signal is None:
             raise _no_signal(source, one.column, name)
         one = used[name] = attrs.evolve(one, unit=one.unit or signal.unit)
-        factor, si_units[name] = one.to_si(name)
+        try:
+            factor, si_units[name] = one.to_si(name)
+        except ImpactRigError as error:
+            raise type(error)(f"{source.path}: {error}") from error
         found[name] = one.sign * one.scale * factor * signal.values
         steps[name] = abs(one.scale * factor) * step_of(signal.values)
         if one.offset:

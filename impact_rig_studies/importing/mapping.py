@@ -69,14 +69,14 @@ class Channel:
             volts = unit_factor(self.unit or "V", "V")
             if volts is None:
                 raise ConfigError(
-                    f"channels.{name}.unit must be V, mV or another unit of voltage, because the channel has a "
-                    f"sensitivity ({self.sensitivity}); got {self.unit!r}"
+                    f"the unit of the channel {name} must be V, mV or another unit of voltage, because the channel has "
+                    f"a sensitivity ({self.sensitivity}); got {self.unit!r}"
                 )
             found = Sensitivity.parse(self.sensitivity)
             if found is None or found.unit not in allowed:
                 raise ConfigError(
-                    f"channels.{name}.sensitivity must be a voltage per {' or '.join(allowed)} or unit of the same "
-                    f"quantity, like `100 mV/{USUAL[name]}`, got {self.sensitivity!r}"
+                    f"the sensitivity of the channel {name} must be a voltage per {' or '.join(allowed)} or unit "
+                    f"of the same quantity, like `100 mV/{USUAL[name]}`, got {self.sensitivity!r}"
                 )
             return volts / found.volts, found.unit
         if not self.unit:
@@ -88,7 +88,7 @@ class Channel:
             if unit_factor(self.unit, "V") is not None:
                 advice = f'a voltage needs a sensitivity: --channel {name}="{self.column} V, 100 mV/{USUAL[name]}"'
             raise ConfigError(
-                f"channels.{name}.unit must be a unit of {' or '.join(allowed)}, got {self.unit!r} of signal "
+                f"the unit of the channel {name} must be a unit of {' or '.join(allowed)}, got {self.unit!r} of signal "
                 f"{self.column!r}; {advice}"
             )
         return factor, target
@@ -96,12 +96,16 @@ class Channel:
 
 def _above_zero(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 < value < math.inf:
-        raise ConfigError(f"the drive frequency (--frequency) must be finite and above 0 Hz, got {value:g}")
+        raise ConfigError(
+            f"the drive frequency (--frequency, or frequency in --mapping) must be finite and > 0 Hz, got {value:g}"
+        )
 
 
 def _not_negative(_mapping: object, _field: object, value: float | str | None) -> None:
     if isinstance(value, float) and not 0.0 <= value < math.inf:
-        raise ConfigError(f"the gap (--gap) must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm")
+        raise ConfigError(
+            f"the gap (--gap, or gap_mm in --mapping) must be 0 (no sphere) or more, and finite, got {value * 1e3:g} mm"
+        )
 
 
 @attrs.frozen(kw_only=True)

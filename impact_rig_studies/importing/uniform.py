@@ -89,10 +89,9 @@ def aligned(
         steps = np.diff(times[name])
         increase = len(steps) > 0 and float(steps.min()) > 0.0
         if not increase or float(steps.max()) > HOLE * float(np.median(steps)):
-            raise ConfigError(
-                f"{path}: {name} cannot be resampled: its times {'have holes' if increase else 'do not increase'}; "
-                f"leave it out (--channel {name}=)"
-            )
+            why = "its times have holes" if increase else "its times do not increase"
+            why = why if len(steps) else "it has fewer than 2 values"
+            raise ConfigError(f"{path}: {name} cannot be resampled: {why}; leave it out (--channel {name}=)")
         _require_finite(path, name, found[name])
     densest = min(times.values(), key=lambda one: float(np.median(np.diff(one))))
     begin, end = max(one[0] for one in times.values()), min(one[-1] for one in times.values())
@@ -180,8 +179,8 @@ def uniform(
         rate, index = _measured(path, times, resampled=mapping.resample_hz is not None)
     if not float(times[-1]) <= LONGEST_S:
         raise ConfigError(
-            f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g} s; is the unit of the times, or "
-            "the given rate, right?"
+            f"{path}: its times span {float(times[-1]):.3g} s, more than {LONGEST_S:g} s; correct the unit of the "
+            "times in the file, or give the true rate (--scan-rate HZ)"
         )
     if mapping.resample_hz is not None:
         return _resampled(path, times, found, followed, float(rate), mapping.resample_hz)
@@ -334,13 +333,13 @@ def _resampled(
 
     Raises:
         ConfigError: the requested rate is too high, or lower than that of the file, which would alias. Or a value is
-            not finite, or each stretch has only one scan.
+            not finite.
         BudgetError: there would be too many values.
     """
     if not exact * (1.0 - 1e-4) <= rate <= MOST_HZ:
         raise ConfigError(
-            f"{path}: the rate for resampling (--resample) must be at least that of the file, {exact:.6g} Hz, and at "
-            f"most {MOST_HZ:g} Hz, got {rate}"
+            f"{path}: the rate for resampling (--resample, or resample_hz in --mapping) must be at least that of the "
+            f"file, {exact:.6g} Hz, and at most {MOST_HZ:g} Hz, got {rate}"
         )
     given = sum(map(len, found.values()))
     most = min(VALUES, max(RESAMPLED_VALUES, RESAMPLED_PER_VALUE * given))
@@ -355,11 +354,6 @@ def _resampled(
         first, last = np.searchsorted(index / rate, (times[begin], times[end - 1] + 1e-9 / rate))
         if end - begin > 1:
             parts.append((slice(begin, end), index[first:last]))
-    if not parts:
-        raise ConfigError(
-            f"{path}: its times have a hole after every scan, so nothing can be resampled; give the rate "
-            "(--scan-rate HZ) instead"
-        )
     splined = {
         name: np.concatenate([_spline(times[part], values[part])(own / rate) for part, own in parts])
         for name, values in found.items()

@@ -243,7 +243,7 @@ STEADY = lines(lambda k: f"{k / 100},{k},{k}", "t,x1,xb")
         (lines(lambda k: f"{k / 100 + (0.004 if k == 7 else 0)},{k},{k}", "t,x1,xb"), MM, "uniform in time: value 8"),
         (lines(lambda k: f"{k / 100 if k != 7 else 0},{k},{k}", "t,x1,xb"), MM, "times must increase"),
         (lines(lambda k: f"{k},{k}", "x1,xb"), MM, "neither times nor a rate"),
-        (STEADY, MM.replace("mm", "furlongs per"), "channels.laser.unit must be a unit of m"),
+        (STEADY, MM.replace("mm", "furlongs per"), "the unit of the channel laser must be a unit of m"),
         (STEADY, MM.replace("unit: mm", "unit: V"), "a voltage needs a sensitivity"),
         (STEADY, MM.replace("unit: mm", "unit: 9**9**9**9"), "must be a unit of m"),
         (STEADY, MM.replace("x1", "x2"), "no signal 'x2' for laser: there are x1, xb"),

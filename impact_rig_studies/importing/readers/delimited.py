@@ -318,7 +318,7 @@ def read_rows(
             columns.append(_remarks(part, layout))
             continue
         if {one.dtype.kind for one in part if one.size} > {"U"}:
-            raise RecordingError(f"{path}: column {j + 1} has numbers in some rows and words or times in others")
+            raise RecordingError(f"{path}: column {j + 1} has numbers in some rows and times in others")
         columns.append(np.concatenate(part) if part else np.zeros(0))
     return columns, skipped
 

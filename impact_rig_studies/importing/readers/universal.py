@@ -95,7 +95,8 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             check_value_count(total, len(content))
             _add(one, data, number, system, signals, names, left_out)
     if not signals:
-        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1): {reasons(left_out)}")
+        why = f": {reasons(left_out)}" if left_out else ""
+        raise RecordingError(f"{path} holds no time response (dataset 58, function type 1){why}")
     return ImportedSignals(path, "universal file", signals, left_out=left_out)
 
 

@@ -64,7 +64,7 @@ def read(path: Path, content: bytes) -> ImportedSignals:
         )
     if code == FLOAT and width not in (4, 8):
         raise RecordingError(
-            f"{path}: a WAV file of floating point with {bits} bits a sample; only 32 and 64 can be read"
+            f"{path}: a WAV file of floating point with {8 * width} bits a sample; only 32 and 64 can be read"
         )
     check_column_count(channels)
     count = len(data) // block
