@@ -66,7 +66,12 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
     def __attrs_post_init__(self) -> None:
         super().__attrs_post_init__()
         if self.hold == PHASE:
-            self.lock_plan()  # rejects a start out of range
+            first, lock = self.points()[0], LockPlan()
+            if not lock.low_hz < first < lock.high_hz:
+                raise ConfigError(
+                    f"with hold: {PHASE}, the first frequency of the sweep (frequencies_hz, direction) must be > "
+                    f"{lock.low_hz:g} and < {lock.high_hz:g} Hz, got {first:g}"
+                )
 
     def lock_plan(self) -> LockPlan:
         """Return the plan of a phase lock whose search for the resonance begins at the first frequency of the sweep."""
@@ -276,7 +281,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         if run.state is SweepState.ABORTED:
             self.get_logger().error(one_line(f"sweep aborted: {run.reason}"))
         else:
-            self.get_logger().info(f"sweep finished: {run.measured} rows of {topics.SWEEP.name}")
+            self.get_logger().info(f"sweep finished; measurements published on {topics.SWEEP.name}: {run.measured}")
 
     def _publish_new_rows(self, run: ControllerRun) -> None:
         if run.measured > self._published:

@@ -102,10 +102,7 @@ class MapLine(HashedTask):
                 line as not measured, so that the next run measures it again.
         """
         if len(rows) != len(self.values):
-            raise ValueError(
-                f"a line of {len(self.values)} points cannot have {len(rows)} stored readings: the line must be "
-                "measured again"
-            )
+            raise ValueError(f"a line of {len(self.values)} points cannot have {len(rows)} stored readings")
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
@@ -126,9 +123,9 @@ class MapLine(HashedTask):
 def _reading(row: Row) -> Reading:
     regime, *numbers = row
     if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
-        raise ValueError(f"not a valid stored reading: {row}")
+        raise ValueError(f"a reading must be a text and {len(Reading._fields) - 1} numbers, got {row}")
     if not (regime == FAILED or float(numbers[0]) > 0.0):
-        raise ValueError(f"not a valid stored reading: {row}")
+        raise ValueError(f"the second value of a reading, DT, must be > 0, got {row}")
     return Reading(str(regime), *map(float, numbers))
 
 
@@ -244,8 +241,9 @@ def allow_time(points: int, workers: int | None = None) -> None:
     cores = workers or len(os.sched_getaffinity(0))
     seconds, limit = points * POINT_S / cores, LIMIT_S * budget.factor()
     if seconds > limit:
+        shared = "one core" if cores == 1 else f"{cores} cores"
         raise BudgetError(
-            f"{points} points would take about {seconds / 3600.0:.1f} h on {cores} cores, "
+            f"{points} points would take about {seconds / 3600.0:.1f} h on {shared}, "
             f"more than {limit / 3600.0:g} h; to allow N times the default limit of {LIMIT_S / 3600.0:g} h, "
             f"set the environment variable {budget.VARIABLE}=N"
         )
@@ -320,7 +318,7 @@ def _axes(given: Mapping[str, object]) -> dict[str, tuple[float, ...]]:
         _check_axis(f"axes.{name}", name)
         found[name] = tuple(sorted(axes.numbers(f"axes.{name}", value, -math.inf)))
         if len(found[name]) < 2:
-            raise axes.wrong(f"axes.{name}", "two values or more, or a range of from, to and step", value)
+            raise axes.wrong(f"axes.{name}", "a list or range of two values or more", value)
     return found
 
 

@@ -221,5 +221,6 @@ class LockPlan(LockSettings):
     def __attrs_post_init__(self) -> None:
         if not self.low_hz < self.start_hz < self.high_hz:
             raise ConfigError(
-                f"start_hz must be > {self.low_hz:g} (low_hz) and < {self.high_hz:g} (high_hz), got {self.start_hz:g}"
+                f"start_hz (--start) must be > {self.low_hz:g} (low_hz) and < {self.high_hz:g} (high_hz), got "
+                f"{self.start_hz:g}"
             )

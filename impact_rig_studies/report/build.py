@@ -102,18 +102,29 @@ def build_report(
     varied = variations(run.open_finished(margins).points) if margins else variations(done.points)
     if margins and not varied:
         raise ConfigError(
-            f"{margins} holds no campaign that varies constants: give --margins the directory of a campaign such as "
+            f"the results in {margins} do not suffice to judge the paper's statements on two rigs or more: give "
+            "--margins the directory of a completely measured campaign that varies constants, such as "
             "config/campaigns/margins.yaml"
         )
     with style():
         opening = list(cover.opening(done, content))
-        drawn = [
-            continued(f"continued_{i}", dynamics.open_study(one, dynamics.CONTINUE), done.points, done.campaign.base)
-            for i, one in enumerate(branches)
-        ]
+        drawn = [_continued(f"continued_{i}", one, done) for i, one in enumerate(branches)]
         sections = list(filter(None, _sections(done, varied, drawn, content, target.parent)))
     html = page(done.campaign.title, [*opening, contents(sections), *sections])
     return write(done.campaign.title, html)
+
+
+def _continued(name: str, directory: Path, done: Finished) -> Drawn:
+    """Draw the branches in an output directory of `impact-rig dynamics continue`, as `continued`.
+
+    Raises:
+        ConfigError: they cannot be shown in the report of this campaign.
+    """
+    study = dynamics.open_study(directory, dynamics.CONTINUE)
+    try:
+        return continued(name, study, done.points, done.campaign.base)
+    except ConfigError as error:
+        raise ConfigError(f"{directory}: {error}") from error
 
 
 def _refuse_comparisons(directory: Path, margins: Path | None, branches: Sequence[Path]) -> None:
@@ -147,7 +158,7 @@ def _write(folder: Path, formats: Sequence[str], target: Path, content: Content,
         content.write(target.parent / kept.FILE_NAME, title)
         files.write_text(target, html)
     except OSError as error:
-        raise RecordingError(f"cannot write the report: {error.strerror} ({error.filename})") from error
+        raise RecordingError(f"cannot write the report: {error.strerror} ({error.filename or target})") from error
     return target
 
 

@@ -66,7 +66,9 @@ def versions(done: Finished) -> dict[str, object]:
         return dict(json.loads((done.directory / run.PROVENANCE_FILE).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        raise RecordingError(f"{done.directory / run.PROVENANCE_FILE} cannot be read: {why}") from error
+        raise RecordingError(
+            f"{done.directory / run.PROVENANCE_FILE} cannot be read: {why}; run the campaign again, which writes it"
+        ) from error
 
 
 def _entries(done: Finished, content: Content) -> list[tuple[str, str]]:

@@ -118,7 +118,7 @@ def test_the_backbone_command_locks_at_every_current_up_and_down(rig, tmp_path, 
     ("words", "message"),
     [
         (["backbone", "--currents", "0.4", "0.3"], "ascending"),
-        (["lock", "--start", "90"], "start_hz must be > 5"),
+        (["lock", "--start", "90"], "start_hz (--start) must be > 5"),
         (["hold", "base", "60e-6"], "PEAK, amplitude of base: a length needs a unit"),
         (["hold", "superior", "0mm"], "PEAK, amplitude of superior: must be > 0 m"),
         (["hold", "current", "60um"], "PEAK, amplitude of current: the unit must be one of A, mA"),

@@ -162,7 +162,7 @@ def test_a_lost_lock_ends_after_a_timeout():
 
 
 def test_a_start_frequency_outside_the_bounds_is_rejected():
-    with pytest.raises(ConfigError, match="start_hz must be > 5"):
+    with pytest.raises(ConfigError, match=r"start_hz \(--start\) must be > 5"):
         attrs.evolve(PLAN, start_hz=30.0)
 
 
