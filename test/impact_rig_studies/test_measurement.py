@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import signal
@@ -48,6 +49,7 @@ from impact_rig_studies.measured import make_campaign
 pytestmark = pytest.mark.heavy
 
 RATE_HZ, SECONDS, GAP_M = 2000, 12, 0.006
+READINGS_HZ = 500  # of sines, which need fewer scans than impacts
 MILLIMETRE = 1e-3
 
 
@@ -532,7 +534,10 @@ def test_a_dry_run_reports_why_a_column_is_unused_and_that_the_gap_is_unknown(
     assert re.search(r"^ coil +mm +gap *$", capsys.readouterr().out, re.MULTILINE)
 
 
-def readings(amplitude: float, step: float, rate_hz: float = RATE_HZ, gap: str = "", frequency_hz: float = 9.1) -> str:
+@functools.cache
+def readings(
+    amplitude: float, step: float, rate_hz: float = READINGS_HZ, gap: str = "", frequency_hz: float = 9.1
+) -> str:
     """Return a table of 12 s of readings in mm, in steps, under a sine; the times have six digits."""
     times = np.arange(round(SECONDS * rate_hz)) / rate_hz
     turn = 2.0 * np.pi * frequency_hz * times
@@ -548,7 +553,7 @@ def test_properties_found_in_the_data_of_a_sweep_may_differ_between_files(
     step = 3.8146972656249999e-4  # of 16 bits
     for name, text in {
         "one": readings(2.03, step, gap=",0.006"),
-        "two": readings(1.07, step * (1.0 + 1e-13), RATE_HZ * (1.0 + 3e-5), gap=",0.004"),
+        "two": readings(1.07, step * (1.0 + 1e-13), READINGS_HZ * (1.0 + 3e-5), gap=",0.004"),
         "three": readings(0.51, 4.0 * step, gap=",0.003"),
         "four": readings(0.5, 1e-17, gap=",0"),  # no step
         "same": readings(1.07, step, gap=",0.006000000000000001"),
@@ -669,8 +674,8 @@ def test_a_campaign_names_each_point_without_a_settled_measurement(
     """If it were left out without a message, the campaign of the others would look complete."""
     text, (head, *rows) = readings(1.0, 1e-3), readings(2.0, 1e-3, frequency_hz=9.3).splitlines()
     (tmp_path / "one.csv").write_text(text, encoding="utf-8")
-    (tmp_path / "short.csv").write_text("\n".join([head, *rows[:6000], ""]), encoding="utf-8")
-    (tmp_path / "shorter.csv").write_text("\n".join([head, *rows[:700], ""]), encoding="utf-8")
+    (tmp_path / "short.csv").write_text("\n".join([head, *rows[: 3 * READINGS_HZ], ""]), encoding="utf-8")
+    (tmp_path / "shorter.csv").write_text("\n".join([head, *rows[: 35 * READINGS_HZ // 100], ""]), encoding="utf-8")
     files = [str(tmp_path / f"{name}.csv") for name in ("one", "short", "shorter")]
     words = ["--campaign", "--gap", "6mm", "--output", str(tmp_path / "out")]
     assert main(["import", *files[1:], *words]) == 1
