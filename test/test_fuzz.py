@@ -86,6 +86,7 @@ def journal_with(number: int, **members: object) -> list[JournalEntry]:
         ({"kind": "parameter", "values": {"daq.seed": 5.5}}, "daq.seed in the journal must be int, got 5.5"),
         ({"kind": "parameter", "values": {"daq.sed": 5}}, "unknown configuration value 'daq.sed'"),
         ({"kind": "parameter", "values": {"sphere.start": [1]}}, "sphere.start in the journal must be str"),
+        ({"kind": "parameter", "values": {"instruments.faults.planned": [1]}}, r"must be a list of texts, got \[1\]"),
         ({"kind": "clear_fault", "value": math.nan}, "number of a fault must be whole, got nan"),
         ({"kind": "fault"}, "of kind fault needs a fault"),
         ({"kind": "fault", "fault": {"kind": "dropout", "channel": "laser", "seed": "x"}}, "seed of a fault"),

@@ -916,7 +916,7 @@ class McapSource:
         """Return the offset [bytes] at which the DataEnd record must begin in order to end where the summary begins."""
         tail_bytes = records.FOOTER_BYTES + len(records.MAGIC)
         tail = os.pread(self._fd, tail_bytes, self.size - tail_bytes)
-        _, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
+        content = memoryview(tail)[records.RECORD_HEAD.size : records.FOOTER_BYTES]
         return records.parse(mcap_records.Footer, content).summary_start - DATA_END_BYTES
 
     def record_at(self, offset: int, opcode: int) -> memoryview:
@@ -943,16 +943,16 @@ class McapSource:
     def _read_record(self, offset: int, length: int, opcode: int) -> memoryview:
         if length > self.size - offset:
             raise DamageError(f"its length is stated as {length} bytes, only {self.size - offset} are left in the file")
-        budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
+        budget.allow(f"bytes in the record at byte {offset} of {self.path}", length, budget.CHUNK_BYTES + budget.MIB)
         # a bad sector, or the file has been closed
         with files.translate_errors(f"cannot read {self.path} at byte {offset}"):
             view = memoryview(os.pread(self._fd, length, offset))
         if len(view) != length:
             raise DamageError("the file has become shorter since it was opened")
-        found, content, end = records.split(view, 0)
-        if found != opcode or end != length:
+        head = records.RECORD_HEAD.size
+        if length < head or records.RECORD_HEAD.unpack_from(view) != (opcode, length - head):
             raise DamageError("the record at its position is of another kind or length")
-        return content
+        return view[head:]
 
 
 class ForeignBagError(RecordingError):
@@ -989,10 +989,10 @@ def read_summary(fd: int, size: int) -> Summary:
     tail = os.pread(fd, tail_bytes, max(0, size - tail_bytes))
     if size < magic + tail_bytes or not tail.endswith(records.MAGIC):
         raise DamageError("its end is missing: its recorder was interrupted, or the copy is incomplete")
-    opcode, content, _ = records.split(memoryview(tail), 0, end=records.FOOTER_BYTES)
-    if opcode != records.FOOTER:
+    head = records.RECORD_HEAD.size
+    if records.RECORD_HEAD.unpack_from(tail) != (records.FOOTER, records.FOOTER_BYTES - head):
         raise DamageError("its footer is damaged")
-    footer = records.parse(mcap_records.Footer, content)
+    footer = records.parse(mcap_records.Footer, memoryview(tail)[head : records.FOOTER_BYTES])
     start, crc = footer.summary_start, footer.summary_crc
     footer_offset = size - tail_bytes
     if start == 0:
@@ -1014,6 +1014,26 @@ def parse_summary(section: memoryview) -> Summary:
         DamageError: the section is not a sequence of records or has no statistics. Or it lists another number of
             chunks, fewer topics or fewer message definitions than its statistics state, or chunks that overlap.
     """
+    try:
+        found = _summary_records(section)
+    except DamageError as error:
+        raise DamageError(f"its index is damaged: {error}") from error
+    chunks, statistics = found.chunk_indexes, found.statistics
+    if statistics is None:
+        raise DamageError("its index has no statistics")
+    if statistics.chunk_count != len(chunks):
+        raise DamageError(f"its index lists {len(chunks)} chunks, but counts {statistics.chunk_count}")
+    for what, listed, count in (
+        ("topics", len(found.channels), statistics.channel_count),
+        ("message definitions", len(found.schemas), statistics.schema_count),
+    ):
+        if listed < count:
+            raise DamageError(f"its index lists {listed} of {count} {what}")
+    _refuse_shared_bytes(chunks)
+    return found
+
+
+def _summary_records(section: memoryview) -> Summary:
     found = Summary()
     offset = 0
     while offset < len(section):
@@ -1032,18 +1052,6 @@ def parse_summary(section: memoryview) -> Summary:
             found.metadata_indexes.append(records.parse(mcap_records.MetadataIndex, content))
         elif opcode == records.STATISTICS:
             found.statistics = records.parse(mcap_records.Statistics, content)
-    chunks, statistics = found.chunk_indexes, found.statistics
-    if statistics is None:
-        raise DamageError("its index has no statistics")
-    if statistics.chunk_count != len(chunks):
-        raise DamageError(f"its index lists {len(chunks)} chunks, but counts {statistics.chunk_count}")
-    for what, listed, count in (
-        ("topics", len(found.channels), statistics.channel_count),
-        ("message definitions", len(found.schemas), statistics.schema_count),
-    ):
-        if listed < count:
-            raise DamageError(f"its index lists {listed} of {count} {what}")
-    _refuse_shared_bytes(chunks)
     return found
 
 

@@ -123,19 +123,19 @@ def attachment_crc(content: memoryview) -> bool | None:
     return zlib.crc32(content[:-4]) == crc if crc else None
 
 
-def split(view: memoryview, offset: int, *, end: int | None = None) -> tuple[int, memoryview, int]:
+def split(view: memoryview, offset: int) -> tuple[int, memoryview, int]:
     """Return opcode, content and end offset of the MCAP record at `offset` of `view`.
 
     Raises:
-        DamageError: the record, or its head of 9 bytes, ends after the offset `end` (default: the end of `view`).
+        DamageError: the record, or its head of 9 bytes, ends after the end of `view`.
     """
-    stop = len(view) if end is None else end
+    stop = len(view)
     if offset + RECORD_HEAD.size > stop:
-        raise DamageError(f"no complete record at byte {offset}")
+        raise DamageError(f"no complete record at its byte {offset}")
     opcode, length = RECORD_HEAD.unpack_from(view, offset)
     start = offset + RECORD_HEAD.size
     if length > stop - start:
-        raise DamageError(f"the record at byte {offset} states {length} bytes, only {stop - start} are left")
+        raise DamageError(f"the record at its byte {offset} states {length} bytes, only {stop - start} are left")
     return opcode, view[start : start + length], start + length
 
 
@@ -208,15 +208,14 @@ def messages(records: memoryview, wanted: frozenset[int] | None) -> Iterator[Raw
         if offset + head <= stop and records[offset] == MESSAGE:
             _, length, channel_id, sequence, log_time, publish_time = unpack(records, offset)
             end = offset + RECORD_HEAD.size + length
-            if length < skip or end > stop:
-                raise DamageError(f"a message record of {length} bytes does not fit into its chunk")
-            if wanted is None or channel_id in wanted:
-                yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end], offset)
-            offset = end
-        else:
-            opcode, content, offset = split(records, offset)
-            if opcode == MESSAGE:
-                raise DamageError(f"a message record of {len(content)} bytes is too short")
+            if length >= skip and end <= stop:
+                if wanted is None or channel_id in wanted:
+                    yield RawMessage(channel_id, sequence, log_time, publish_time, records[offset + head : end], offset)
+                offset = end
+                continue
+        opcode, content, offset = split(records, offset)
+        if opcode == MESSAGE:
+            raise DamageError(f"a message record of {len(content)} bytes is too short: it needs at least {skip}")
 
 
 def count(records: memoryview, most: int) -> int:

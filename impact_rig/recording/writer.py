@@ -459,7 +459,7 @@ class RunWriter:
         self._drop_tail()
         if shortage := self._file.shortage():
             self.finish()
-            raise RecordingError(f"recording of {self.directory} stopped and finished: {shortage}")
+            raise RecordingError(f"the recording {self.directory} was ended and can be read up to there: {shortage}")
 
     # --- errors
 
@@ -784,10 +784,11 @@ class McapFile:
         except OSError as error:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._fd, self._buffer.committed)
-            raise RecordingError(
-                f"cannot write {self.path}: {error.strerror}; the file ends with its last complete record "
-                f"({self.size} bytes) and has no index: copy its messages to a new run with impact-rig recover"
-            ) from error
+            rest = (
+                f"; the file ends with its last complete record ({self.size} bytes) and has no index: copy the "
+                f"messages of {self.path.parent} to a new run with impact-rig recover"
+            )
+            raise RecordingError(f"cannot write {self.path}: {error.strerror}{rest if self.size else ''}") from error
         finally:
             data.release()
         self._buffer.drain()

@@ -64,6 +64,7 @@ SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
 A slower mode moves in a tick of 10 ms by less than the rounding of its position. A faster one (a coil of L < 10 µs · R)
 requires such short contact steps that a sphere at rest on a wall cannot be simulated in real time.
 """
+_NOT_TOGETHER = "the values of structure, shaker, sphere, barriers and contact cannot be simulated together"
 DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; the instruments use their own
 
 
@@ -77,9 +78,9 @@ def new_generator(config: RigConfig) -> FunctionGenerator:
     seeds = np.random.SeedSequence(config.daq.seed, spawn_key=(DRIVE_SEED,))
     try:
         check_amplitude(config.drive.amplitude, config.drive, config.shaker)
-        return FunctionGenerator(config.drive, config.shaker, Random(seeds))
     except CommandError as error:
-        raise ConfigError(f"drive: {error}") from error
+        raise ConfigError(f"drive.amplitude: {error}") from error
+    return FunctionGenerator(config.drive, config.shaker, Random(seeds))
 
 
 def tried_model(config: RigConfig) -> Model:
@@ -99,12 +100,9 @@ def tried_model(config: RigConfig) -> Model:
     except (ArithmeticError, ValueError, SimulationError) as error:
         if isinstance(error, ConfigError):
             raise
-        raise ConfigError(f"the mechanics with this combination of values cannot be simulated: {error}") from error
+        raise ConfigError(f"{_NOT_TOGETHER}: {error}") from error
     if not all(np.isfinite(last[name]).all() for name in last.dtype.names or ()):
-        raise ConfigError(
-            "the mechanics with this combination of values cannot be simulated: the motion becomes infinite within "
-            f"{TRIAL_TICKS * COMMAND_GRID_S:g} s"
-        )
+        raise ConfigError(f"{_NOT_TOGETHER}: the motion becomes infinite within {TRIAL_TICKS * COMMAND_GRID_S:g} s")
     return model
 
 

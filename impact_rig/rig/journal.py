@@ -203,7 +203,8 @@ def _typed(name: str, value: Any) -> Value:
     if isinstance(default, float) and type(value) is int:
         return _float(name, value)
     if type(value) is not type(default):
-        raise ConfigError(f"{name} in the journal must be {type(default).__name__}, got {value!r}")
+        kind = "a list of texts" if isinstance(default, tuple) else type(default).__name__
+        raise ConfigError(f"{name} in the journal must be {kind}, got {value!r}")
     return value
 
 

@@ -30,6 +30,7 @@ from impact_rig.cli.recorded import INCOMPLETE
 from impact_rig.errors import ImpactRigError
 from impact_rig.recording import open_run
 from impact_rig.recording.description import TopicDescription, starts_with_header
+from impact_rig.recording.reader import parse_summary
 from impact_rig.recording.records import DamageError
 from impact_rig.runs import export, info, recover
 from impact_rig.system import budget
@@ -139,6 +140,11 @@ def test_a_chunk_that_ends_within_a_record_is_damage_with_path_and_remedy(tmp_pa
     words = r"cut\.mcap: the content of a chunk has no complete record at its byte \d+; impact-rig recover saves"
     with open_run(path) as run, pytest.raises(DamageError, match=words):
         list(run.messages())
+
+
+def test_a_damaged_record_of_the_index_is_reported_as_one() -> None:
+    with pytest.raises(DamageError, match="its index is damaged: no complete record at its byte 0"):
+        parse_summary(memoryview(b"\x0b\x01"))
 
 
 def test_quality_of_service_is_read_by_field_without_expanding_aliases() -> None:

@@ -15,7 +15,9 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 import subprocess
 import sys
 import textwrap
@@ -247,7 +249,7 @@ def test_recording_stops_before_the_file_size_limit_and_is_finished(tmp_path):
     limit = "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))"
     message = run_limited(tmp_path, limit)
     assert (
-        "finished: the next chunk does not fit into the file size limit of this process (RLIMIT_FSIZE, 300000 b"
+        "up to there: the next chunk does not fit into the file size limit of this process (RLIMIT_FSIZE, 300000 b"
         in message
     )
     kept = stamps(tmp_path / "run")
@@ -277,7 +279,7 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     writer = record(chunk_bytes=20_000)
     fill(writer, 20)
     monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
-    with pytest.raises(RecordingError, match=r"stopped and finished: only \d+ MB are free on its disk"):
+    with pytest.raises(RecordingError, match=r"can be read up to there: only \d+ MB are free on its disk"):
         fill(writer, 100, first=20)
     assert writer.closed
     assert len(stamps(writer.directory)) > 20
@@ -286,12 +288,21 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     assert list((writer.directory.parent / "run2").iterdir()) == []
 
 
+def test_a_file_that_cannot_even_begin_is_removed_and_nothing_is_said_of_its_content(record, monkeypatch):
+    def fails(fd: int, data: memoryview) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recording_writer, "_write_all", fails)
+    with pytest.raises(RecordingError, match=r"cannot write .*\.mcap: No space left on device$"):
+        record()
+
+
 def test_the_message_at_which_a_recording_stops_is_accounted_for(record, monkeypatch):
     """The account must contain the last message; otherwise, `info` says that a message is in the file twice."""
     writer = record(chunk_bytes=20_000)
     writer.add_topic(SCAN_TOPIC)
     monkeypatch.setattr(recording_writer, "MIN_FREE_BYTES", 2**62)
-    with pytest.raises(RecordingError, match="stopped and finished"):
+    with pytest.raises(RecordingError, match="was ended and can be read"):
         fill(writer, 100, topics=(SCAN_TOPIC,))
     assert info(writer.directory).verdict.startswith("whole: ")
 

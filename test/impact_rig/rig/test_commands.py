@@ -113,7 +113,7 @@ def test_a_drive_with_many_frequencies_rejects_a_frequency_command(waveform: str
 
 
 def test_the_initial_drive_is_checked_like_a_command() -> None:
-    with pytest.raises(ConfigError, match=r"drive: current must be"):
+    with pytest.raises(ConfigError, match=r"drive\.amplitude: current must be"):
         Rig(config(drive__amplitude=30.0))
 
 

@@ -47,7 +47,7 @@ def test_a_new_kind_of_drive_waits_for_the_reset_and_keeps_the_interlock_active(
 
 def test_an_initial_drive_beyond_the_shaker_is_rejected_when_it_is_set() -> None:
     rig = Rig(paper_rig())
-    with pytest.raises(ConfigError, match=r"drive: current must be"):
+    with pytest.raises(ConfigError, match=r"drive\.amplitude: current must be"):
         rig.configure({"drive.amplitude": 30.0})
     assert rig.config == paper_rig()
 
@@ -75,7 +75,7 @@ def test_a_rejected_reset_changes_nothing() -> None:
     for one in (rig, twin):
         one.advance(20 * TICK)
         one.configure({"shaker.current_limit_a_rms": 1.0})  # below what the next reset would begin with
-    with pytest.raises(ConfigError, match="drive: current"):
+    with pytest.raises(ConfigError, match=r"drive\.amplitude: current"):
         rig.reset()
     assert (rig.start_ns, rig.frontier_ns) == (twin.start_ns, twin.frontier_ns)
     for one, two in zip(rig.advance(40 * TICK), twin.advance(40 * TICK), strict=True):
