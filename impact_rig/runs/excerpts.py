@@ -130,7 +130,7 @@ def last_record(run: Run) -> Excerpt:
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
     if len(rows) < FEWEST_SCANS:
         raise RecordingError(
-            f"{run.path} ends with {len(rows)} contiguous scans; a frequency response needs at least {FEWEST_SCANS}"
+            f"{run.path} ends with {len(rows)} contiguous scans; at least {FEWEST_SCANS} without a gap are needed"
         )
     return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 
@@ -218,8 +218,8 @@ def response_of(
         ) from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(
-            f"{run.path}: the coherence of base and laser is below {COHERENT} at all excited frequencies: drive the "
-            "rig with a chirp or noise (drive.waveform), or choose longer segments (--segment S)"
+            f"{run.path}: the coherence of base and laser is below {COHERENT} at all excited frequencies: record a run "
+            "with drive.waveform chirp or random, or choose longer segments (--segment S)"
         )
     return found
 

@@ -215,7 +215,8 @@ def _check_chunk_head(head: bytes, length: int) -> None:
 
 def _check_message(content: memoryview) -> None:
     if len(content) < records.MESSAGE_HEAD.size - RECORD_HEAD.size:
-        raise DamageError(f"a message record of {len(content)} bytes is too short")
+        least = records.MESSAGE_HEAD.size - RECORD_HEAD.size
+        raise DamageError(f"a message record of {len(content)} bytes is too short: it needs at least {least}")
 
 
 def _check_message_index(content: memoryview) -> None:
@@ -241,7 +242,7 @@ _CHECKS: Mapping[int, Callable[[memoryview], object]] = {
 }
 
 
-_MAX_LISTED = 1000
+_MAX_LISTED, _MAX_SHOWN = 1000, 5  # damaged parts in a report, and their reasons in an error
 ACCEPT = "--accept-unchecked"
 
 
@@ -429,7 +430,8 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         counts = int(record["damages"]), int(record["lost_bytes"])
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
-        raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {error}") from error
+        why = f"it has no {error}" if isinstance(error, KeyError) else error
+        raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {why}") from error
 
 
 def is_cut_short(run: Run) -> bool:
@@ -508,8 +510,9 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
             with defer_signals():
                 writer.finish()
     if writer is None:
-        reasons = "; ".join(dict.fromkeys(damage.reason for damage in report.damages)) or "it holds no messages"
-        raise RecordingError(f"nothing can be recovered from {source}: {reasons}")
+        reasons = [*dict.fromkeys(damage.reason for damage in report.damages)] or ["it holds no messages"]
+        more = f"; and {len(reasons) - _MAX_SHOWN} more reasons" if len(reasons) > _MAX_SHOWN else ""
+        raise RecordingError(f"nothing can be recovered from {source}: {'; '.join(reasons[:_MAX_SHOWN])}{more}")
     return report
 
 
@@ -640,10 +643,11 @@ class _Salvage:
         """
         try:
             writer.add_topic(topic)
-        except RecordingError as error:
+        except RecordingError:
             if writer.closed:
                 raise
-            self._report.note(Damage(self.path.name, 0, 0, str(error)))
+            reason = f"topic {topic.name} occurs with two types: messages of type {topic.type_name} are left out"
+            self._report.note(Damage(self.path.name, 0, 0, reason))
             return False
         return True
 

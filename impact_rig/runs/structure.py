@@ -101,7 +101,10 @@ def _check_data_section(source: McapSource) -> bool:
         DamageError: the checksum does not match.
     """
     end = source.data_end()
-    crc = records.parse(mcap_records.DataEnd, source.record_at(end, records.DATA_END)).data_section_crc
+    try:
+        crc = records.parse(mcap_records.DataEnd, source.record_at(end, records.DATA_END)).data_section_crc
+    except DamageError as error:
+        raise DamageError(f"{source.path}: the end of its data section (byte {end}) is damaged: {error}") from error
     if crc == 0:
         return False
     found, position = 0, 0

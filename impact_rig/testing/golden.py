@@ -148,7 +148,10 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             return f"columns {one.rows.dtype.names}, golden {names}"
         unknown = set(tolerances) - set(names)
         if unknown:
-            raise ConfigError(f"tolerances name columns that the tables do not have: {', '.join(sorted(unknown))}")
+            raise ConfigError(
+                f"tolerances name columns that a compared table does not have: {', '.join(sorted(unknown))}; it has "
+                f"{', '.join(names)}"
+            )
         for name in names:
             bad = np.flatnonzero(~_agree(one.rows[name], other.rows[name], tolerances.get(name)))
             if len(bad):

@@ -275,9 +275,10 @@ def test_records_truncated_anywhere_count_as_damage(tmp_path):
                 read(view)
 
 
-def test_a_message_too_short_for_its_head_is_damage_even_at_the_end_of_a_chunk():
-    short = records.RECORD_HEAD.pack(records.MESSAGE, 5) + bytes(5)
-    with pytest.raises(records.DamageError, match="a message record of 5 bytes is too short"):
+@pytest.mark.parametrize("following", [0, 50])
+def test_a_message_too_short_for_its_head_is_damage_wherever_it_is_in_a_chunk(following):
+    short = records.RECORD_HEAD.pack(records.MESSAGE, 5) + bytes(5 + following)
+    with pytest.raises(records.DamageError, match="a message record of 5 bytes is too short: it needs at least 22"):
         list(records.messages(memoryview(short), None))
 
 
@@ -411,6 +412,16 @@ def test_files_that_are_not_recordings_are_rejected(tmp_path, content):
     with pytest.raises(RecordingError, match=r"x.mcap: it"):
         open_run(tmp_path / "x.mcap")
     with pytest.raises(RecordingError, match="nothing can be recovered"):
+        recover(tmp_path / "x.mcap", tmp_path / "out")
+
+
+def test_an_error_lists_a_few_of_many_reasons(tmp_path):
+    writer = Writer(str(tmp_path / "x.mcap"), enable_crcs=False)
+    writer.start("ros2")
+    for number in range(8):
+        writer.add_attachment(0, 0, f"file {number}", "text/plain", b"x")
+    writer.finish()
+    with pytest.raises(RecordingError, match=r"the attachment 'file 4' carries no checksum [^;]*; and 3 more reasons$"):
         recover(tmp_path / "x.mcap", tmp_path / "out")
 
 
