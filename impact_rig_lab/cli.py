@@ -272,7 +272,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         ImpactRigError: another lab or rig on this machine uses the namespace; the message names its process.
     """
     name = files.place(domain, namespace)
-    advice = f"open its page with --attach {namespace}, or choose another --namespace"
+    advice = f"show its rig with --attach {namespace}, or choose another --namespace"
     try:
         held = files.hold(files.PLACES, f"{name}.lab")
     except OSError:
@@ -281,8 +281,7 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if held is None:
         raise ImpactRigError(
-            f"another lab, process {files.holder(files.PLACES, f'{name}.lab')}, already runs in the namespace "
-            f"{namespace}: stop it, {advice}"
+            f"another lab, {_process(f'{name}.lab')}, already runs in the namespace {namespace}: stop it, {advice}"
         )
     stack.callback(os.close, held)
     rig = files.hold(files.PLACES, name)
@@ -290,10 +289,14 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         return
     if rig is None:
         raise ImpactRigError(
-            f"another rig, process {files.holder(files.PLACES, name)}, already runs in the namespace "
-            f"{namespace}: stop it, {advice}"
+            f"another rig, {_process(name)}, already runs in the namespace {namespace}: stop it, {advice}"
         )
     os.close(rig)  # released, so that the rig that is started now can take it
+
+
+def _process(lock: str) -> str:
+    number = files.holder(files.PLACES, lock)
+    return f"process {number or 'unknown'}"  # it is unknown in another container
 
 
 def node_parameters(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:

@@ -397,7 +397,7 @@ class Gateway:
                     all(self.record.knobs.get(name) == value for name, value in target.items())
                     or self.record.knobs is not knobs
                 ),
-                "rig/configuration",
+                "the rig to publish the accepted values on rig/configuration",
                 ECHO_S,
             )
 
@@ -436,7 +436,7 @@ class Gateway:
                 raise Refused(words)
             return False
 
-        await self.until(is_answered, f"{column} {value:g} in shaker/applied", ANSWER_S)
+        await self.until(is_answered, f"the rig to publish {column} {value:g} on shaker/applied", ANSWER_S)
         return f"{column} {value:g}"
 
     # The rig
@@ -681,7 +681,7 @@ class Gateway:
             await self._start(name)
         for name in ended:
             await self.until(lambda name=name: self.seen(name).lives, f"the node {name}", START_S)  # type: ignore[misc]
-        knobs = await self.until(lambda: self.record.knobs, "rig/configuration", START_S)
+        knobs = await self.until(lambda: self.record.knobs, "the rig to publish rig/configuration", START_S)
         await self._label(knobs["barriers.gap_m"] if knobs["sphere.present"] else 0.0)
         return f"restarted: {', '.join(ended)}"
 

@@ -158,7 +158,7 @@ def frequencies(name: str, value: object) -> tuple[float, ...]:
     """
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_FREQUENCIES:
         raise RequestError(f"{name} must be a list with 1 to {MOST_FREQUENCIES} frequencies in Hz, got {_short(value)}")
-    return tuple(number(1e-3, 1e4)(name, one) for one in value)
+    return tuple(number(1e-3, 1e4)("each frequency in Hz", one) for one in value)
 
 
 def _short(value: object) -> str:

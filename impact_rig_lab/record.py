@@ -639,13 +639,19 @@ def start_ns(info: Table) -> int:
     Raises:
         RecordingError: the table states an invalid time, or has no rows.
     """
-    since_s = float(info.rows["since_start"][0]) if len(info.rows) else math.nan
+    since_s = _first(info, "since_start")
     if not 0.0 <= since_s < LONGEST_RUN_S:
         raise RecordingError(
             f"daq/info states an invalid time since scan 0 (since_start): it must be >= 0 and < {LONGEST_RUN_S:g} s, "
             f"got {since_s:g}"
         )
     return info.stamp_ns - round(since_s * NS_PER_S)
+
+
+def _first(info: Table, name: str) -> float:
+    if not len(info.rows):
+        raise RecordingError(f"daq/info has no rows, so that its {name} is unknown")
+    return float(info.rows[name][0])
 
 
 def scan_rate(info: Table) -> float:
@@ -655,7 +661,7 @@ def scan_rate(info: Table) -> float:
         RecordingError: the rate is below 1 Hz, or too high for the memory of the ring buffers (`HIGHEST_RATE_HZ`), or
             the table has no rows.
     """
-    rate_hz = float(info.rows["rate"][0]) if len(info.rows) else math.nan
+    rate_hz = _first(info, "rate")
     if not 1.0 <= rate_hz <= HIGHEST_RATE_HZ:
         raise RecordingError(f"daq/info has a rate of {rate_hz:g} Hz; 1 to {HIGHEST_RATE_HZ:g} Hz can be shown")
     return rate_hz

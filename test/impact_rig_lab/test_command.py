@@ -35,6 +35,7 @@ from impact_rig import topics
 from impact_rig.cli import main
 from impact_rig.driver.sample_run import make_sample
 from impact_rig.recording import open_run
+from impact_rig.system import files
 
 PROGRAM = [sys.executable, "-c", "from impact_rig.cli import main; raise SystemExit(main())"]
 
@@ -147,7 +148,7 @@ def test_a_second_lab_is_rejected_and_the_end_of_the_pipe_ends_a_lab(tmp_path: P
                 command, capture_output=True, cwd=tmp_path, env=environment, timeout=PATIENCE_S, check=False
             )
             assert second.returncode == 1
-            words = f"another lab, process {first.pid}, already runs in the namespace /bench/two: stop it, open"
+            words = f"another lab, process {first.pid}, already runs in the namespace /bench/two: stop it, show"
             assert words in second.stderr.decode()
             assert len(second.stderr.splitlines()) == 1
             with Client(domain_id, "bench/two", name="observer") as client:
@@ -177,6 +178,15 @@ def test_a_second_lab_is_rejected_and_the_end_of_the_pipe_ends_a_lab(tmp_path: P
         finally:
             third.kill()
             third.communicate()
+
+
+def test_a_lab_whose_process_is_unknown_is_reported_without_a_number(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for name, found in (("hold", None), ("is_held_by_others", False), ("holder", None)):
+        monkeypatch.setattr(files, name, lambda *_, found=found: found)
+    assert main(["lab", "--output", str(tmp_path), "--no-browser", "--port", "0"]) == 1
+    assert "another lab, process unknown, already runs in the namespace /rig" in capsys.readouterr().err
 
 
 def test_invalid_arguments_are_rejected(sample: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

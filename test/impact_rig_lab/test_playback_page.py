@@ -354,7 +354,7 @@ def test_a_recorded_drive_in_volts_is_shown_with_its_unit(tmp_path: Path) -> Non
 
 def test_runs_without_rows_are_rejected_in_one_line(recorded: Messages, tmp_path: Path) -> None:
     none = edited(recorded, "daq/info", lambda rows: rows[:0])
-    with pytest.raises(RecordingError, match="rate"):
+    with pytest.raises(RecordingError, match=r"its calibration \(daq/info\) is unusable: daq/info has no rows, so"):
         PlaybackSource([record(tmp_path / "info", none)])
     empty = edited(recorded, "daq/scan", lambda rows: rows[:0])
     with PlaybackSource([record(tmp_path / "scans", empty)]) as source:

@@ -332,7 +332,7 @@ def test_an_impossible_rate_is_rejected_before_buffers_are_allocated(rate: float
     info["rate"] = rate
     with pytest.raises(RecordingError, match="a rate of"):
         scan_rate(Table(0, info))
-    with pytest.raises(RecordingError, match="a rate of"):
+    with pytest.raises(RecordingError, match="daq/info has no rows, so that its rate is unknown"):
         scan_rate(Table(0, info[:0]))
 
 
@@ -362,6 +362,7 @@ VIEW = '{"do":"view","span":1,"columns":100,"trigger":false,"spectrum":"laser","
         ('{"do":"note","value":"' + "a" * 501 + '"}', "at most 500"), ('{"do":"stop","id":1.5}', "whole"),
         ('{"do":"stop","id":-1}', "within"), ('{"do":"record","value":1}', "true or false"),
         ('{"do":"sweep","frequencies":[],"direction":"up","hold":"command","target":0}', "1 to 200"),
+        ('{"do":"sweep","frequencies":[0],"direction":"up","hold":"command","target":0}', "each frequency in Hz"),
         ('{"do":"sweep","frequencies":[9],"direction":"left","hold":"command","target":0}', "one of"),
         ('{"do":"sweep","frequencies":[9],"direction":"up","hold":"breath","target":0}', "hold must be one of"),
         ("x" * 70000, "at most 65536"), ("é" * 40000, "at most 65536 bytes, got 80000"),
