@@ -416,12 +416,12 @@ def test_files_that_are_not_recordings_are_rejected(tmp_path, content):
 
 
 def test_an_error_lists_a_few_of_many_reasons(tmp_path):
-    writer = Writer(str(tmp_path / "x.mcap"), enable_crcs=False)
+    writer = Writer(str(tmp_path / "x.mcap"))
     writer.start("ros2")
     for number in range(8):
-        writer.add_attachment(0, 0, f"file {number}", "text/plain", b"x")
+        writer.add_metadata(f"record {number}", {})
     writer.finish()
-    with pytest.raises(RecordingError, match=r"the attachment 'file 4' carries no checksum [^;]*; and 3 more reasons$"):
+    with pytest.raises(RecordingError, match=r"'record 4' carries no checksum [^;]*; and 3 more reasons$"):
         recover(tmp_path / "x.mcap", tmp_path / "out")
 
 
