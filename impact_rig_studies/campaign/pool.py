@@ -188,8 +188,8 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
 
     The returned function waits without a time limit if the cluster has no workers. A worker with other code than this
     process is reported on stderr, and its jobs are sent to other workers. If jobs fail, the others are still completed;
-    then the returned function raises an ImpactRigError. It also raises one if the scheduler cannot be reached, or no
-    worker has the code of this process.
+    then the returned function raises an ImpactRigError. It also raises one if the scheduler cannot be reached or is
+    lost, or no worker has the code of this process.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -201,6 +201,17 @@ def on_cluster(work: Callable[[P], R], address: str) -> Callable[[Sequence[P]], 
 
     def run(jobs: Sequence[P]) -> Generator[tuple[P, R], None, None]:
         client = _connected(address)
+        try:
+            yield from run_with(client, jobs)
+        except ImpactRigError:
+            raise
+        except OSError as error:
+            raise ImpactRigError(
+                f"lost the connection to the Dask scheduler at {address}: {error}; run the command again to compute "
+                "what is missing"
+            ) from error
+
+    def run_with(client: Any, jobs: Sequence[P]) -> Generator[tuple[P, R], None, None]:
         code, wrong, lost = code_fingerprint(ROOMS), dict[str, str](), list[str]()
         running: dict[Any, P] = {}
         with client:

@@ -47,6 +47,17 @@ _right = MapRig.measure
 MapRig.measure = lambda *arguments: (right := _right(*arguments))._replace(dt=1.1 * right.dt)
 """
 
+SCHEDULER_GONE = """
+import distributed
+
+
+def fail(_client):
+    raise OSError("Timed out")
+
+
+distributed.Client.nthreads = fail
+"""
+
 
 def free_port():
     with socket.socket() as taken:
@@ -217,4 +228,14 @@ def test_an_unreachable_cluster_is_reported_in_one_line(tmp_path):
     output, _ = process.communicate(timeout=WAIT_S)
     assert process.returncode == 1
     assert f"cannot reach a Dask scheduler at {address}" in output
+    assert "Traceback" not in output
+
+
+def test_a_lost_scheduler_is_named_with_what_to_do(cluster, tmp_path):
+    file, address = tmp_path / "tiny.yaml", cluster[0]
+    file.write_text(TINY)
+    process = start(file, tmp_path / "out", address, before=SCHEDULER_GONE)
+    output, _ = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 1
+    assert f"lost the connection to the Dask scheduler at {address}: Timed out; run the command again" in output
     assert "Traceback" not in output
