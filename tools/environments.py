@@ -16,13 +16,16 @@
 from __future__ import annotations
 
 import functools
+import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import Distribution, PackageNotFoundError, distribution, distributions
 from pathlib import Path
 
+import pip
 from packaging.requirements import Requirement
 
 from tools.doc_paths import ROOT
@@ -71,15 +74,18 @@ def _requirements(name: str) -> list[Requirement]:
 
 
 def assemble(venv: Path, names: Iterable[str]) -> None:
-    """Make a virtual environment with links to the files of some installed distributions only."""
+    """Make a virtual environment with links to the files of some installed distributions only.
+
+    A folder that belongs to one distribution alone is linked as a whole.
+    """
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)  # noqa: S603  # ours
-    site = Path(*Path(distribution("attrs").locate_file("")).relative_to(sys.prefix).parts)
-    for name in names:
-        one = distribution(name)
-        for file in one.files or ():
-            source = Path(one.locate_file(file))
-            target = venv / site / file
-            if target.exists() or not source.exists():
+    site = venv / Path(distribution("attrs").locate_file("")).relative_to(sys.prefix)
+    for one in map(distribution, names):
+        own = Path(one.locate_file(""))
+        files = [(file, file.partition("/")[0]) for file in _files(one)]
+        for file in dict.fromkeys(top if _tops()[top] == 1 else file for file, top in files):
+            source, target = Path(os.path.normpath(own / file)), site / file  # scripts are at ../../../bin
+            if target.is_symlink() or target.exists() or not source.exists():
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             if source.suffix == ".py" and (compiled := source.parent / "__pycache__").is_dir():
@@ -91,12 +97,26 @@ def assemble(venv: Path, names: Iterable[str]) -> None:
                 _link(target, source)
 
 
+def _files(one: Distribution) -> list[str]:
+    """Return the files of a distribution, relative to where it is installed."""
+    listed = one.read_text("RECORD")  # `files` takes seconds for all of them
+    if listed is None:
+        return [str(file) for file in one.files or ()]
+    return [line.rsplit(",", 2)[0].strip('"') for line in listed.splitlines()]
+
+
+@functools.cache
+def _tops() -> Counter[str]:
+    """Return in how many distributions each file or folder next to the packages occurs."""
+    return Counter(top for one in distributions() for top in {file.partition("/")[0] for file in _files(one)})
+
+
 def _link(target: Path, source: Path) -> None:
     if not target.is_symlink() and not target.exists():
         target.symlink_to(source)
 
 
 def install(venv: Path, wheel: Path) -> None:
-    """Install a wheel without its requirements."""
-    command = [sys.executable, "-m", "pip", "--python", str(venv / "bin" / "python"), "install", "--quiet"]
+    """Install a wheel without its requirements, with this environment's pip, which `--python` would start twice."""
+    command = [str(venv / "bin" / "python"), *pip.__path__, "install", "--quiet"]
     subprocess.run([*command, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)  # noqa: S603  # ours
