@@ -122,12 +122,14 @@ class TextTable(rich_table.Table):
 
 
 def figure(value: float, spec: str, missing: str = "-") -> str:
-    """Format a measured value with `spec`, such as `+.2f`; one that rounds to zero from below has no minus sign.
+    """Format a measured value with `spec`, such as `+.2f`; one that rounds to zero has no sign.
 
     A value that does not exist (NaN or infinite) becomes the text `missing`.
     """
-    sign = spec[: spec.startswith("+")]
-    return format(value, f"{sign}z{spec.removeprefix(sign)}") if math.isfinite(value) else missing
+    if not math.isfinite(value):
+        return missing
+    text = format(value, spec)
+    return text if float(text) else text.lstrip("+-")
 
 
 class Words(TextColumn):

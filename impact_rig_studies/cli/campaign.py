@@ -146,7 +146,7 @@ def _print_reductions(console: Console, done: run.Finished) -> bool:
             *rounded(reductions.dt[gap], u[gap]),
             f"{paper.REDUCTION_PERCENT[gap]:.1f}",
             *rounded(value, spread[gap]),
-            f"{errors[gap]:+z.1f}",
+            figure(errors[gap], "+.1f"),
         )
     console.print(table)
     largest, rms = reductions.max_abs_error(), reductions.rms_error()

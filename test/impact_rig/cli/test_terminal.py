@@ -44,9 +44,9 @@ def test_a_missing_value_is_not_shown_as_a_number() -> None:
     assert figure(float("nan"), "g", "unknown") == "unknown"
 
 
-def test_a_value_that_rounds_to_zero_from_below_has_no_minus_sign() -> None:
+def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
     shown = [figure(-0.004, ".2f"), figure(-0.004, "+.2f"), figure(-0.0, "g"), figure(-0.006, ".2f")]
-    assert shown == ["0.00", "+0.00", "0", "-0.01"]
+    assert shown == ["0.00", "0.00", "0", "-0.01"]
 
 
 def drawn(what: object) -> str:
