@@ -109,37 +109,47 @@ def test_ends_with_a_node(rig):
 def test_all_rigs_are_as_new(rig):
     assert len({rows for _, rows, _ in seen}) == 1
     assert len({entries for _, _, entries in seen}) == 1
-    print("different rigs:", len({number for number, _, _ in seen}))
-    assert False
+    pytest.fail(f"different rigs: {len({number for number, _, _ in seen})}")
 """
+
+
+KINDS: dict[str, tuple[str, dict[str, Any], str, int, int]] = {
+    # fixture, its options, scope, number of different rigs, number of failed tests
+    "hosted": ("ros_rig", {"hosted": True}, "module", 1, 3),
+    "processes": ("ros_rig", {}, "session", 1, 3),
+    "virtual": ("virtual_rig", {}, "module", 4, 2),  # a new one takes milliseconds
+}
+
+
+@pytest.fixture(scope="module")
+def shared_rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run the tests of all `KINDS`, one file each, in one pytest, and return their folder with its JUnit file."""
+    folder = tmp_path_factory.mktemp("shared")
+    for kind, (fixture, options, scope, _, _) in KINDS.items():
+        text = SHARED.replace("FIXTURE", fixture).replace("SCOPE", scope).replace("OPTIONS", repr(options))
+        (folder / f"test_{kind}.py").write_text(text)
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([*words, "--junitxml=found.xml"], cwd=folder, env=environment, check=False, capture_output=True)
+    return folder
 
 
 @pytest.mark.ros
 @pytest.mark.pipeline
-@pytest.mark.parametrize(
-    ("fixture", "options", "scope", "different", "failed"),
-    [
-        ("ros_rig", {"hosted": True}, "module", 1, 3),
-        ("ros_rig", {}, "session", 1, 3),
-        ("virtual_rig", {}, "module", 4, 2),  # a new one takes milliseconds
-    ],
-)
-def test_a_rig_of_a_module_or_session_is_reset_for_each_test(
-    tmp_path: Path, fixture: str, options: dict[str, Any], scope: str, different: int, failed: int
-) -> None:
-    text = SHARED.replace("FIXTURE", fixture).replace("SCOPE", scope).replace("OPTIONS", repr(options))
-    (tmp_path / "test_shared.py").write_text(text)
-    words = [sys.executable, "-m", "pytest", "-q", "-p", "impact_rig.testing.plugin", "-p", "no:cacheprovider"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [*words, "test_shared.py"], cwd=tmp_path, env=environment, check=False, capture_output=True, text=True
-    )
-    assert f"{failed} failed, {4 - failed} passed" in done.stdout, done.stdout
-    assert f"different rigs: {different}" in done.stdout, done.stdout
-    for run in (tmp_path / "failed_runs").iterdir():
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_rig_of_a_module_or_session_is_reset_for_each_test(shared_rigs: Path, kind: str) -> None:
+    *_, different, failed = KINDS[kind]
+    cases = [
+        one for one in ET.parse(shared_rigs / "found.xml").iter("testcase") if one.get("classname") == f"test_{kind}"
+    ]
+    messages = [str(failure.get("message")) for one in cases for failure in (*one.iter("failure"), *one.iter("error"))]
+    assert (len(cases), len(messages)) == (4, failed), messages
+    assert any(f"different rigs: {different}\n" in f"{message}\n" for message in messages), messages
+    runs = list((shared_rigs / "failed_runs").glob(f"test_{kind}.py_*"))
+    for run in runs:
         with open_run(run / "rig") as left:
             assert str(verify(left)).startswith("identical"), run
-    assert len(list((tmp_path / "failed_runs").iterdir())) == failed
+    assert len(runs) == failed
 
 
 @pytest.mark.ros
