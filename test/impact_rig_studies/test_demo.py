@@ -38,12 +38,14 @@ pytestmark = [pytest.mark.ros, pytest.mark.pipeline, pytest.mark.timeout(300)]
 START_S, DEATH_S = 240.0, 10.0
 SOME_BLOCKS = 100_000
 """Bytes: a run that has begun."""
+FEWER_SCANS = ("--scan-rate", "2000")
+"""Options of a demo that is not to finish."""
 
 
-def start_demo(directory: Path) -> subprocess.Popen[str]:
+def start_demo(directory: Path, *options: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", "import sys; from impact_rig.cli import main; sys.exit(main())", "demo"]
     return subprocess.Popen(
-        [*command, "--output", str(directory)],
+        [*command, "--output", str(directory), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -147,7 +149,7 @@ def test_a_killed_process_ends_the_demo_with_a_clear_message(tmp_path: Path, nod
 
 def test_ctrl_c_leaves_a_readable_run_and_no_process(tmp_path: Path) -> None:
     directory = tmp_path / "demo"
-    demo = start_demo(directory)
+    demo = start_demo(directory, *FEWER_SCANS)
     try:
         wait_for(demo, directory / "gap_2mm" / "gap_2mm.mcap", SOME_BLOCKS)
         pids = [node_pid(demo, name) for name in ("rig", "analysis", "recorder")]
