@@ -155,6 +155,7 @@ def test_a_time_limit_counts_the_threads_of_the_cluster(cluster):
     assert cluster_threads(address) == present
 
 
+@pytest.mark.slow  # the next test does the same, with other workers among those of the cluster
 def test_a_map_measured_on_a_cluster_has_the_same_bits(cluster, tmp_path):
     address, _ = cluster
     file, directory = tmp_path / "map.yaml", tmp_path / "out"
@@ -174,7 +175,7 @@ def test_workers_with_other_code_are_named_and_their_results_not_stored(cluster,
     sound = [worker for worker in workers if worker.poll() is None]
     for package in (impact_rig, impact_rig_studies):
         root = Path(package.__file__).parent
-        shutil.copytree(root, tmp_path / "other" / root.name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(root, tmp_path / "other" / root.name)  # with bytecode, which both workers would compile
     changed = tmp_path / "other/impact_rig_studies/maps/measure.py"
     changed.write_text(changed.read_text(encoding="utf-8") + TEN_PERCENT_OFF, encoding="utf-8")
     file, directory = tmp_path / "map.yaml", tmp_path / "out"
