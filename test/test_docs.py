@@ -50,7 +50,7 @@ from impact_rig_studies.maps.plan import load_map
 
 ROOT = Path(__file__).parents[1]
 TOOL = runpy.run_path(str(ROOT / "tools" / "check_docs.py"))
-DEMO_ROW = re.compile(r"^ +(\d+) +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+) +([-+][\d.]+)$", re.MULTILINE)
+DEMO_ROW = re.compile(r"^ +(\d+) +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+) +([-+]?[\d.]+)$", re.MULTILINE)
 """Row of the table of `make demo`: gap, DT, reduction, its 2u, that of the paper, and the difference."""
 BLOCKS = [block for page in TOOL["pages"]().values() for block in page.blocks]
 OURS = [block for block in BLOCKS if block.owner == "test/test_docs.py"]
