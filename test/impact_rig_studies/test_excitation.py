@@ -79,7 +79,11 @@ def test_reading_without_a_played_signal_ends_at_its_timeout():
     assert len(waiting.acquisition.read(200)) == 200
 
 
-@pytest.mark.parametrize("kind", [BURST, PSEUDO, CHIRP])
+SLOW = pytest.mark.slow
+
+
+# the other kinds of excitation are measured with the sphere (burst) and by the accelerometer (chirp)
+@pytest.mark.parametrize("kind", [PSEUDO, *(pytest.param(kind, marks=SLOW) for kind in (BURST, CHIRP))])
 def test_a_frequency_response_is_within_its_uncertainty_of_the_closed_form(kind):
     rig = hardware(sphere__present=False)
     *_, found = measure(rig, Excitation(kind=kind), "base")
@@ -165,8 +169,15 @@ def replication(response, sphere):
     return *replicated(response, sphere=sphere, seed=1, on_step=steps.append), steps
 
 
-@pytest.mark.parametrize("sphere", [False, True])
-@pytest.mark.parametrize("response", [Response.BASE, Response.SUPERIOR])
+@pytest.mark.parametrize(
+    ("response", "sphere"),
+    [
+        (Response.BASE, False),
+        (Response.SUPERIOR, True),
+        pytest.param(Response.BASE, True, marks=SLOW),
+        pytest.param(Response.SUPERIOR, False, marks=SLOW),
+    ],
+)
 def test_the_error_of_a_replicated_history_agrees_with_the_stated_one(response, sphere):
     """The sensor's lag must be corrected: the reading may follow to 0.36 % while the base is wrong by 3.0 %.
 
