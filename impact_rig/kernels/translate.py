@@ -86,7 +86,9 @@ def main() -> None:
     wanted: list[tuple[str, Entry | Exported]] = [*entries.items(), *forces.items()]
     with global_compiler_lock:
         for done, (name, one) in enumerate(wanted):
-            (work / f"{part}.progress").write_text(f"{done} of {len(wanted)}")
+            new = work / f"{part}.new"
+            new.write_text(f"{done} of {len(wanted)}")
+            new.replace(work / f"{part}.progress")  # atomically: it is read meanwhile
             _collect(_translated(context, name, one), libraries)
         names = [name for name, _ in wanted]
         (work / f"{part}.bc").write_bytes(_linked(libraries.values(), {symbol(name) for name in names}).as_bitcode())

@@ -195,6 +195,17 @@ def test_a_trailing_separator_of_rows_without_one_in_the_heading_is_ignored(sepa
     assert list(found.signals) == ["base", "laser"]
 
 
+@pytest.mark.parametrize("name", ["stamp_ns", "time_ns", "timestamp"])
+def test_stamps_in_nanoseconds_keep_their_digits_behind_an_index(name: str) -> None:
+    """A double resolves them to 256 ns only: at 10 kHz the times were uneven, and the rate 10000.0003 Hz."""
+    begin_ns = EPOCH_S * 10**9 + 123_456_789
+    rows = [f"{k},{begin_ns + 100_000 * k},{k % 3},{k % 5}" for k in range(300)]
+    found = text_table("\n".join([f",{name},base [mm],laser [mm]", *rows]))
+    assert {"base", "laser"} <= set(found.signals)
+    assert (since_start(found) == np.arange(300) * 100_000 / 1e9).all()
+    assert found.start_ns == begin_ns
+
+
 def test_times_of_day_are_not_added_to_stamps_that_contain_them() -> None:
     rows = [f"00:00:{k:02},2026-11-02 00:00:{k:02},{k},{k % 3}" for k in range(30)]
     for head, order in (

@@ -296,8 +296,8 @@ def read_rows(
 ) -> tuple[list[NDArray[np.generic]], list[int]]:
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
-    Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times. The first
-    column contains integers if each of its cells is a whole number from 2^53 to 2^63, such as a stamp. Missing
+    Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times, or
+    integers if its cells are whole numbers, some of them from 2^53 to 2^63, such as stamps in nanoseconds. Missing
     numbers are NaN; empty lines are skipped.
 
     Raises:
@@ -349,7 +349,7 @@ def _chunk(path: Path, chunk: list[tuple[int, str]], layout: Layout, skipped: li
         except ValueError:
             table = None
         fits = table is not None and table.shape == (len(plain), layout.width)
-        if table is not None and fits and np.abs(table[:, 0]).max(initial=0.0) < WHOLE:
+        if table is not None and fits and not (np.abs(table) >= WHOLE).any():
             return [cells.without_markers(column) for column in np.ascontiguousarray(table.T)]
     kept: list[list[str]] = []
     numbers: list[int] = []
@@ -382,7 +382,7 @@ def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: L
         column and cells.is_time(column[0]) and cells.number(column[0], layout.decimal) is None
     ):
         return np.array(column, dtype=str) if column else np.zeros(0)
-    if j == 0 and column and all(cell.isascii() and cell.isdigit() and len(cell) < 20 for cell in column):
+    if column and all(cell.isascii() and cell.isdigit() and len(cell) < 20 for cell in column):
         whole = [int(cell) for cell in column]
         if max(whole) >= WHOLE:
             return np.array(whole, np.int64) if max(whole) < 2**63 else np.array(whole, np.float64)
