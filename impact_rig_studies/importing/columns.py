@@ -281,12 +281,12 @@ def _epoch_axis(name: str, unit: str, column: Column) -> _Axis | None:
 
     It is None for a column with another unit, or whose first value is no date of the years 2000 to 2100.
     """
-    first = float(column.reshape(-1)[0])
+    first = column.reshape(-1)[0].item()
     for fraction, per_s in FRACTIONS:
         if unit in ("", fraction) and EPOCH_S[0] * per_s <= first <= EPOCH_S[1] * per_s:
-            since = (column - column.reshape(-1)[0]).astype(np.float64).reshape(-1) / per_s
+            since = (column - first).astype(np.float64).reshape(-1) / per_s
             note = "" if unit else f"column {_name(name)!r} was read as {fraction} since 1970"
-            return _Axis(AbscissaKind.TIME, name, fraction, since, round(int(first) * (NS_PER_S / per_s)), note)
+            return _Axis(AbscissaKind.TIME, name, fraction, since, round(first * (NS_PER_S // int(per_s))), note)
     return None
 
 
