@@ -25,7 +25,6 @@ from collections.abc import Iterable
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, distributions
 from pathlib import Path
 
-import pip
 from packaging.requirements import Requirement
 
 from tools.doc_paths import ROOT
@@ -118,5 +117,6 @@ def _link(target: Path, source: Path) -> None:
 
 def install(venv: Path, wheel: Path) -> None:
     """Install a wheel without its requirements, with this environment's pip, which `--python` would start twice."""
-    command = [str(venv / "bin" / "python"), *pip.__path__, "install", "--quiet"]
+    program = distribution("pip").locate_file("pip")  # importing it would change how distutils is found
+    command = [str(venv / "bin" / "python"), str(program), "install", "--quiet"]
     subprocess.run([*command, "--no-deps", "--no-index", "--no-compile", str(wheel)], check=True)  # noqa: S603  # ours

@@ -150,7 +150,7 @@ def test_a_suspended_rig_or_peer_resumes_without_a_lost_block(processes: Process
         rig.signal(signal.SIGCONT)
         held = progress()
         client.wait_until(lambda: progress() > held + 1.0, "rig time to go on")
-        assert client.status("rig").level == b"\0", client.status("rig").message
+        client.wait_until(lambda: client.status("rig").level == b"\0", "the rig to report no silent peer")
         assert client.figures("analysis")["lost_scans"] == "0"
         assert processes.stop() == dict.fromkeys(ALL, 0)
     stamps = [stamp for stamp, _ in blocks(tmp_path / "run")]
