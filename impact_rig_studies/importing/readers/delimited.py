@@ -297,7 +297,7 @@ def read_rows(
     """Return the columns of the table in the lines first <= line < end, and the indices of lines that are comments.
 
     Lines count from 0, the first of the file. A column contains floats, or texts if it has words or times, or
-    integers if its cells are whole numbers, some of them from 2^53 to 2^63, such as stamps in nanoseconds. Missing
+    integers if its cells contain integers only, some of them from 2^53 to 2^63, such as stamps in nanoseconds. Missing
     numbers are NaN; empty lines are skipped.
 
     Raises:
