@@ -76,7 +76,9 @@ def add_command(commands: Commands) -> None:
         "lab ends. Without NAMESPACE: the rig that is found; the page waits for one, and lets you choose from several",
     )
     parser.add_argument(
-        "--namespace", default=NAMESPACE, help="ROS namespace of the rig that is started (default: %(default)s)"
+        "--namespace",
+        default=NAMESPACE,
+        help="ROS namespace of the rig that is started; not with --attach, --sample or RUN (default: %(default)s)",
     )
     parser.add_argument(
         "--sample",
@@ -97,13 +99,14 @@ def add_command(commands: Commands) -> None:
         type=int,
         default=Daq().rate_hz,
         metavar="HZ",
-        help="scans per second of the rig that is started (default: %(default)s)",
+        help="scans per second of the rig that is started; not with --attach, --sample or RUN (default: %(default)s)",
     )
     parser.add_argument(
         "--mode",
         choices=("realtime", "free_running"),
         default="realtime",
-        help="pace of the rig that is started: real time, or as fast as possible (default: %(default)s)",
+        help="pace of the rig that is started: real time, or as fast as possible; not with --attach, --sample or RUN "
+        "(default: %(default)s)",
     )
     parser.add_argument(
         "--branches",

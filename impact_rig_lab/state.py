@@ -371,7 +371,7 @@ class Source(abc.ABC):
 
     @property
     def other(self) -> Scope | None:
-        """Scans of a second run, drawn together with those of `record`; None if there is no second run."""
+        """Scans of a second recorded run, drawn together with those of `record`; None if there is none."""
         return None
 
     @property

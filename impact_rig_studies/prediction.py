@@ -526,7 +526,8 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
     """Return the motions at resonance (the superior base a quarter cycle behind the inferior base) at one gap.
 
     The amplitude grows along the branch, from the fold on. Each motion has its own frequency, current and
-    displacement transmissibility (DT). `recoil` is that of `branch`.
+    displacement transmissibility (DT). `recoil` says whether the structure recoils in an impact, to first order in
+    m/m_1; False means the published formulas.
 
     Raises:
         ConfigError: as for `branch`.

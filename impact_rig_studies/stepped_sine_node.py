@@ -70,7 +70,7 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
             if not lock.low_hz < first < lock.high_hz:
                 raise ConfigError(
                     f"with hold: {PHASE}, the first frequency of the sweep (frequencies_hz, direction) must be > "
-                    f"{lock.low_hz:g} and < {lock.high_hz:g} Hz, got {first:g}"
+                    f"{lock.low_hz:g} and < {lock.high_hz:g} Hz, the fixed range of the phase lock, got {first:g}"
                 )
 
     def lock_plan(self) -> LockPlan:

@@ -194,8 +194,8 @@ class Calibration:
             sizes = np.abs(values)
             if np.any((sizes > LARGEST) & np.isfinite(sizes)):
                 raise ConfigError(
-                    f"daq/info: {name} must be within ±{LARGEST:g}, or infinite, got {_by_channel(values, present)}; "
-                    f"{_REMEDY}"
+                    f"daq/info: {name} must be within ±{LARGEST:g}, infinite, or NaN if unknown, got "
+                    f"{_by_channel(values, present)}; {_REMEDY}"
                 )
         figures = [_finite(known[name]) for name in COLUMNS]
         derivative = np.array([DERIVATIVES.get(bytes(unit), 0) for unit in ordered["unit"]])

@@ -92,8 +92,8 @@ def fit_sine_frequency(y: Real, rate_hz: float, frequency_hz: float, harmonics: 
     """Fit an offset, harmonics and their fundamental frequency to samples: four parameters for harmonics = 1.
 
     The fit is a Gauss–Newton iteration that starts at `frequency_hz`, which must be right to within about half a cycle
-    over the record. The status of the result is `no_fit` if the iteration does not converge, otherwise as for
-    `fit_sine`.
+    over the record. Data that `fit_sine` refuses are refused with the same status. The status is `no_fit` if the
+    iteration does not converge.
     """
     refusal = _refusal(y, rate_hz, frequency_hz, harmonics)
     if refusal:

@@ -226,10 +226,10 @@ class Tracker:
         """
         need_columns(applied, APPLIED, topics.APPLIED.name)
         if not (np.abs(applied.rows["time"]) <= LONGEST_S).all():
-            worst = applied.rows["time"][np.argmax(~(np.abs(applied.rows["time"]) <= LONGEST_S))]
+            first = applied.rows["time"][np.argmax(~(np.abs(applied.rows["time"]) <= LONGEST_S))]
             raise ConfigError(
                 f"shaker/applied: time, which counts from the stamp, must be within ±{LONGEST_S:g} s in every row, got "
-                f"{worst:g}"
+                f"{first:g}"
             )
         for row in applied.rows:
             instant = applied.stamp_ns + round(float(row["time"]) * NS_PER_S)

@@ -76,7 +76,8 @@ def read(path: Path) -> dict[str, Any]:
     """Read an interface document, as written by `impact-rig interface --json`.
 
     Raises:
-        ConfigError: the file cannot be read or is not JSON; the message names the file.
+        ConfigError: the file cannot be read or does not hold a JSON object; the message names the file. The members of
+            the object are not checked.
     """
     try:
         return dict(json.loads(files.read_bytes(path, MAX_BYTES)))

@@ -433,7 +433,7 @@ class Exchange:
     def __init__(self, hardware: Hardware, lag: int) -> None:
         _check_rates(hardware.rig)
         if lag < 1:
-            raise ConfigError(f"lag of an exchange must be at least 1 sample, got {lag}")
+            raise ConfigError(f"lag of an Exchange must be at least 1 sample, got {lag}")
         self._hardware = hardware
         self.lag = min(lag, hardware.rig.stream_level().capacity // 4)
         self._ahead = np.zeros(self.lag)

@@ -758,7 +758,7 @@ class RosRig(RigDriver):
                 on_scan(message)
 
         def on_scan(_message: Received) -> None:
-            """Acknowledge the answered blocks that have arrived.
+            """Acknowledge the blocks that have arrived and that the node has answered on `output`.
 
             It is called for every block, and for every answer without a stamp, which may arrive before its block.
             """

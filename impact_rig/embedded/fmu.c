@@ -206,7 +206,7 @@ static int deserialise(const unit *u, const char *from, size_t size, void **stat
 {
     size_t held = 0;
     if (size >= sizeof held) memcpy(&held, from, sizeof held); /* bytes have no alignment */
-    if (held < sizeof(values) || size < held) return tell(u, ERROR, "the bytes are not a serialised state of this unit");
+    if (held < sizeof(values) || size < held) return tell(u, ERROR, "the bytes are not a state that this FMU has serialised: they are damaged, or of another FMU");
     void *room = realloc(*state, held);
     if (!room) return tell(u, ERROR, "no memory");
     *state = room;

@@ -124,8 +124,8 @@ def _compile(work: Path, kernels: Path) -> str:
 def _description(config: RigConfig, row: np.void, version: str, token: str) -> str:
     """Return the content of an FMU's modelDescription.xml: its variables, their start values and its capabilities.
 
-    `row` is the first part of the rig's snapshot (`SETUP`), `version` the FMI version (`2.0` or `3.0`), and `token`
-    identifies the FMU.
+    `row` is the first part of the rig's snapshot (`SETUP`), which names the channels. `version` is the FMI version
+    (`2.0` or `3.0`), and `token` identifies the FMU.
     """
     names = [name.decode() for name in row["name"][: row["channels"]]]
     kind = config.drive.kind

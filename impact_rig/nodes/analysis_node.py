@@ -50,7 +50,10 @@ UNKNOWN_GAP = -1.0
 
 @attrs.frozen(kw_only=True)
 class AnalysisSettings(TrackerSettings):
-    """Parameters of the analysis node: those of `Tracker`, the operator's label of the gap, and `autostart`."""
+    """Parameters of the analysis node: those of `Tracker`, the operator's label of the gap, and `autostart`.
+
+    The label is stated in the results, and limits how long a row waits for impacts.
+    """
 
     gap_m: float = quantity(
         UNKNOWN_GAP,

@@ -122,7 +122,7 @@ def header_stamp_ns(message: Any) -> int | None:
     Bytes are always taken to begin with a header.
 
     Raises:
-        CodecError: bytes are too short or not little-endian CDR, or the stamp in them is invalid.
+        CodecError: bytes are too short or not little-endian CDR, or the nanoseconds of their stamp are not below 10⁹.
     """
     if isinstance(message, bytes):
         return codec.header_stamp_ns(message)

@@ -43,7 +43,10 @@ _AT_ONCE_S = 1e-6
 
 @attrs.frozen
 class Lateness:
-    """Delay from when blocks were due to when they were published [ms], over the newest blocks, at most 3000."""
+    """Delay from when blocks were due to when they were published [ms], over the newest blocks, at most 3000.
+
+    The rig shows it in its diagnostics as `lateness_…`, in the mode `realtime` only.
+    """
 
     median_ms: float
     p99_ms: float  # 99th percentile

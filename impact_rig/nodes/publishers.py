@@ -199,9 +199,8 @@ class Publishers:
     def poll(self, often: bool) -> None:
         """Check which topics have subscribers; call this before `block`.
 
-        Without a subscriber, `block` publishes only the scans and latched (transient-local) topics.
-
-        Unless `often` is true, it has no effect within 0.1 s (`GRAPH_POLL_S`) of the last check.
+        Without a subscriber, `block` publishes only the scans and latched (transient-local) topics. With `often`, every
+        call checks, otherwise at most one in 0.1 s (`GRAPH_POLL_S`).
         """
         now = time.monotonic()
         if now - self._polled_at < GRAPH_POLL_S and not often:

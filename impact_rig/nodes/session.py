@@ -323,7 +323,7 @@ class Session:
         return sorted({info.node_name for info in found})
 
     def lack_of_samples(self) -> str:
-        """Return why the rig lacks samples of its drive, as text for messages.
+        """Return why the rig lacks samples of its drive, as text for messages; call it only while the rig lacks them.
 
         It names the nodes that could send samples but send none, or says that there is no such node.
         """

@@ -138,7 +138,11 @@ class TopicDescription:
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the QoS profiles in an untrusted YAML list, with known policies only; empty if it is not such a list."""
+    """Return the QoS profiles in an untrusted YAML list, with the known policies only.
+
+    Only the type of their values is checked. Items that are no mappings are left out. The result is empty if the text
+    is not such a list.
+    """
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
     except budget.PlainYamlError:
@@ -283,12 +287,10 @@ def members(schema: str) -> list[tuple[str, str, int]]:
                 found.append((path + member, name, count))
             else:
                 inner = next((t for key, t in texts.items() if key == name or key.endswith(f"/{name}")), None)
-                why = "it is an array of messages" if count != 1 else "" if inner else "the schema lacks its type"
+                why = "it is an array of messages" if count != 1 else "" if inner else "this type is not defined"
                 if inner is None or why or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
                     why = why or f"it is more than {_MAX_DEPTH} types deep, or follows more than {_MAX_TYPES} members"
-                    raise RecordingError(
-                        f"cannot read messages with the member {path + member} of type {name}{length}: {why}"
-                    )
+                    raise RecordingError(f"the member {path + member} of type {name}{length} cannot be read: {why}")
                 walk(inner, f"{path}{member}.", depth + 1)
 
     walk(root, "", 0)

@@ -162,7 +162,10 @@ def read_record(record: Mapping[str, str]) -> dict[str, list[PublisherStream]]:
     try:
         return {name: [_stream(entry) for entry in json.loads(text)] for name, text in record.items()}
     except (ValueError, TypeError, RecursionError) as error:
-        raise DamageError(f"invalid metadata record {RECORD_NAME!r}, perhaps of a later version: {error}") from error
+        raise DamageError(
+            f"the metadata record {RECORD_NAME!r}, the recorder's account of received and lost messages, is damaged or "
+            f"of a later version of impact_rig: {error}; impact-rig recover writes a run without it"
+        ) from error
 
 
 def _stream(entry: dict[str, object]) -> PublisherStream:

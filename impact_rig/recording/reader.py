@@ -695,7 +695,7 @@ def _items(
         for number, raw in enumerate(records.messages(content, wanted)):
             topic, data = topics.get(raw.channel_id), raw.data
             if topic is None:
-                raise DamageError(f"a message belongs to the MCAP channel {raw.channel_id}, which its index lacks")
+                raise DamageError(f"its index lacks the topic (MCAP channel {raw.channel_id}) of a message")
             if topic.encoding == description.SERIALIZATION and bytes(data[:4]) == records.ZSTD_MAGIC:
                 data = records.plain_message(data, budget.raised(budget.CHUNK_BYTES))
                 account.chunk(len(data))
@@ -843,7 +843,7 @@ class McapSource:
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
             if chunk.uncompressed_size != segment.size:
-                raise DamageError("the decompressed size that it states is not that in the index")  # noqa: TRY301  # worded below
+                raise DamageError("its decompressed size is not that which the index states")  # noqa: TRY301  # worded below
             return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
@@ -951,7 +951,7 @@ class McapSource:
             raise DamageError("the file has become shorter since it was opened")
         head = records.RECORD_HEAD.size
         if length < head or records.RECORD_HEAD.unpack_from(view) != (opcode, length - head):
-            raise DamageError("the record at its position is of another kind or length")
+            raise DamageError("the record there is of another kind or length than the index states")
         return view[head:]
 
 
@@ -991,14 +991,14 @@ def read_summary(fd: int, size: int) -> Summary:
         raise DamageError("its end is missing: its recorder was interrupted, or the copy is incomplete")
     head = records.RECORD_HEAD.size
     if records.RECORD_HEAD.unpack_from(tail) != (records.FOOTER, records.FOOTER_BYTES - head):
-        raise DamageError("its footer is damaged")
+        raise DamageError("its last record (footer) is damaged")
     footer = records.parse(mcap_records.Footer, memoryview(tail)[head : records.FOOTER_BYTES])
     start, crc = footer.summary_start, footer.summary_crc
     footer_offset = size - tail_bytes
     if start == 0:
         raise DamageError("it has no index")
     if not magic <= start <= footer_offset:
-        raise DamageError("its footer points outside the file")
+        raise DamageError("its last record (footer) is damaged: it states that the index is outside the file")
     budget.allow("bytes in an index", footer_offset - start, budget.INDEX_BYTES)
     section = os.pread(fd, footer_offset - start, start)
     guarded = records.FOOTER_BYTES - 4  # the checksum covers the footer up to itself
@@ -1020,9 +1020,9 @@ def parse_summary(section: memoryview) -> Summary:
         raise DamageError(f"its index is damaged: {error}") from error
     chunks, statistics = found.chunk_indexes, found.statistics
     if statistics is None:
-        raise DamageError("its index has no statistics")
+        raise DamageError("its index has no statistics (numbers of messages and topics)")
     if statistics.chunk_count != len(chunks):
-        raise DamageError(f"its index lists {len(chunks)} chunks, but counts {statistics.chunk_count}")
+        raise DamageError(f"its index lists {len(chunks)} chunks, but its statistics count {statistics.chunk_count}")
     for what, listed, count in (
         ("topics", len(found.channels), statistics.channel_count),
         ("message definitions", len(found.schemas), statistics.schema_count),

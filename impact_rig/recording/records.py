@@ -108,9 +108,9 @@ def parse(kind: type[Record], content: memoryview) -> Record:
     try:
         record: Record = kind.read(stream)  # type: ignore[attr-defined]  # all kinds have it, but not their base class
     except UnicodeDecodeError as error:
-        raise DamageError(f"a string is not UTF-8: {error}") from error
+        raise DamageError(f"a string of a {kind.__name__} record is not UTF-8: {error}") from error
     if stream.count != len(content):
-        raise DamageError(f"a record has {len(content) - stream.count} bytes after its last field")
+        raise DamageError(f"a {kind.__name__} record has {len(content) - stream.count} bytes after its last field")
     return record
 
 

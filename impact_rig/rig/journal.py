@@ -135,41 +135,44 @@ class JournalEntry:
             ConfigError: the line is not a journal entry of this version.
         """
         try:
+            return cls._parsed(line)
+        except ConfigError as error:
+            raise ConfigError(f"{_INVALID} {line[:60]!r}: {error}; {_CAUSES}") from error
+
+    @classmethod
+    def _parsed(cls, line: str) -> JournalEntry:
+        try:
             content = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise ConfigError(
-                f"an entry of the journal of inputs (`rig/journal`) must be JSON, got {line[:60]!r}"
-            ) from error
+            raise ConfigError("it is not valid JSON") from error
         if not isinstance(content, dict):
-            raise ConfigError(
-                f"an entry of the journal of inputs (`rig/journal`) must be a JSON object, got {line[:60]!r}"
-            )
+            raise ConfigError("it is not a JSON object")
         unknown = content.keys() - _MEMBERS.keys()
         if unknown:
-            raise ConfigError(f"journal entry with unknown member {min(unknown)!r}, known are {', '.join(_MEMBERS)}")
+            raise ConfigError(f"it has the unknown member {min(unknown)!r}, known are {', '.join(_MEMBERS)}")
         for member, kinds in _MEMBERS.items():
             is_required = member in ("sequence", "kind", "sample", "stamp_ns")
             if (member in content or is_required) and type(content.get(member)) not in kinds:
                 allowed = " or ".join(kind.__name__ for kind in kinds)
-                got = quoted(content[member]) if member in content else "none"
-                raise ConfigError(f"{member} of a journal entry must be {allowed}, got {got}: {line[:60]!r}")
+                got = f"got {quoted(content[member])}" if member in content else "it is missing"
+                raise ConfigError(f"its member {member} must be of type {allowed}, {got}")
         try:
             kind = InputKind(content["kind"])
         except ValueError:
             known = ", ".join(InputKind)
-            raise ConfigError(f"journal entry of unknown kind {content['kind']!r}, known are {known}") from None
+            raise ConfigError(f"it has the unknown kind {content['kind']!r}, known are {known}") from None
         values = {name: _typed(name, value) for name, value in content.pop("values", {}).items()}
         fault = _fault(content.pop("fault"), content["sample"]) if "fault" in content else None
         if "value" in content:
             content["value"] = _float("value", content["value"])
         if kind in _NEED_VALUE and "value" not in content:
-            raise ConfigError(f"a journal entry of kind {kind.value} needs a value: {line[:60]!r}")
+            raise ConfigError(f"an entry of kind {kind.value} needs a value")
         if not (0 <= content["sequence"] <= _LARGEST and 0 <= content["sample"] <= _LARGEST):
-            raise ConfigError(f"sequence and sample of a journal entry must be from 0 to 2**53: {line[:60]!r}")
+            raise ConfigError("its members sequence and sample must be from 0 to 2**53")
         if not 0 <= content["stamp_ns"] < 2**63:
-            raise ConfigError(f"stamp_ns of a journal entry must be from 0 to 2**63 - 1: {line[:60]!r}")
+            raise ConfigError("its member stamp_ns must be from 0 to 2**63 - 1")
         if (fault is not None) != (kind is InputKind.FAULT):
-            raise ConfigError(f"a journal entry of kind fault needs a fault, others must have none: {line[:60]!r}")
+            raise ConfigError("an entry of kind fault needs a fault, others must have none")
         return cls(**content | {"kind": kind, "values": values, "fault": fault})
 
 
@@ -180,13 +183,15 @@ _MEMBERS: dict[str, tuple[type, ...]] = {
 _OF_FAULT = {field.name for field in attrs.fields(Fault)} - {"start_sample"}  # it starts at the entry's sample
 _NEED_VALUE = (InputKind.COMMAND, InputKind.PLUCK, InputKind.TRIP, InputKind.STREAM)
 _LARGEST = 2**53
+_INVALID = "invalid entry of the journal of inputs (`rig/journal`)"
+_CAUSES = "only rigs write such entries, so this one was damaged or changed, or is of another version of impact_rig"
 
 
 def _float(name: str, value: float) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ConfigError(f"{name} of a journal entry is too large, it must be below 1.8e308") from None
+        raise ConfigError(f"{name} is an integer too large for a double (1.8e308)") from None
 
 
 def _typed(name: str, value: Any) -> Value:
@@ -196,15 +201,15 @@ def _typed(name: str, value: Any) -> Value:
         ConfigError: there is no configuration value of this name, or the JSON value has another type.
     """
     if name not in _DEFAULTS:
-        raise ConfigError(f"journal entry with the unknown configuration value {name!r}")
+        raise ConfigError(f"it has the unknown configuration value {name!r}")
     default = _DEFAULTS[name]
     if isinstance(default, tuple) and isinstance(value, list) and all(isinstance(one, str) for one in value):
         return tuple(value)
     if isinstance(default, float) and type(value) is int:
         return _float(name, value)
     if type(value) is not type(default):
-        kind = "a list of texts" if isinstance(default, tuple) else type(default).__name__
-        raise ConfigError(f"{name} in the journal must be {kind}, got {value!r}")
+        kind = "list of texts" if isinstance(default, tuple) else type(default).__name__
+        raise ConfigError(f"{name} must be of type {kind}, got {value!r}")
     return value
 
 
@@ -212,16 +217,14 @@ def _fault(content: Mapping[str, Any], sample: int) -> Fault:
     for name, value in content.items():
         if name not in _OF_FAULT:
             known = ", ".join(sorted(_OF_FAULT))
-            raise ConfigError(f"a fault in an entry of the journal has the unknown member {name!r}, known are {known}")
+            raise ConfigError(f"its fault has the unknown member {name!r}, known are {known}")
         allowed = (str,) if name in ("kind", "channel") else (int,) if name in ("samples", "seed") else (int, float)
         if type(value) not in allowed:
-            raise ConfigError(
-                f"{name} of a fault in an entry of the journal must be {allowed[-1].__name__}, got {value!r}"
-            )
+            raise ConfigError(f"{name} of its fault must be of type {allowed[-1].__name__}, got {value!r}")
     try:
         return Fault(**{"kind": ""} | dict(content), start_sample=sample)
     except (CommandError, OverflowError) as error:
-        raise ConfigError(f"an entry of the journal has an invalid instrument fault: {error}") from error
+        raise ConfigError(f"it has an invalid instrument fault: {error}") from error
 
 
 def encode(entry: JournalEntry) -> bytes:
@@ -238,7 +241,7 @@ def decode(data: codec.Buffer) -> JournalEntry:
     try:
         return JournalEntry.from_line(codec.text(data))
     except CodecError as error:
-        raise ConfigError(f"a journal entry must be text: {error}") from error
+        raise ConfigError(f"{_INVALID}: it is not a text message: {error}; {_CAUSES}") from error
 
 
 class Journal:
@@ -318,10 +321,13 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
         if entry.kind in BEGINNINGS:
             found.clear()
         if entry.sequence != len(found):
-            raise ConfigError(f"incomplete journal: entry {len(found)} is missing (found {entry.sequence} instead)")
+            raise ConfigError(
+                f"the journal of inputs (`rig/journal`) is incomplete: entry {len(found)}, counted from 0, is missing "
+                f"(found {entry.sequence} instead)"
+            )
         found.append(entry)
     if not found:
-        raise ConfigError("the journal is empty: it must begin with an entry of kind start or reset")
+        raise ConfigError("the journal of inputs (`rig/journal`) has no entry: it must begin with a start or reset")
     return found
 
 

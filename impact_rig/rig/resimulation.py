@@ -176,7 +176,8 @@ class Resimulation:
         self, journal: Iterable[JournalEntry], base: RigConfig | None = None, waveform: Sequence[Sent] = ()
     ) -> None:
         first, *inputs = last_journal(journal)
-        self.rig = Rig(from_flat(base or RigConfig(), first.values), first.stamp_ns)
+        with _named(first):
+            self.rig = Rig(from_flat(base or RigConfig(), first.values), first.stamp_ns)
         self.calibrations: list[Table] = [self.rig.info()]
         self.configurations: list[RigConfig] = [self.rig.config]
         self._coming = deque(inputs)
@@ -189,7 +190,8 @@ class Resimulation:
         config = self.rig.config
         for entry in self._coming:
             if entry.kind is InputKind.PARAMETER:
-                config = from_flat(config, entry.values)
+                with _named(entry):
+                    config = from_flat(config, entry.values)
                 yield config
 
     def finish(self, until_ns: int) -> None:
@@ -208,7 +210,8 @@ class Resimulation:
             if change is None or rig.frontier_ns < until_ns:  # in steps: a damaged row may be arbitrarily far away
                 yield from rig.advance(min(until_ns, rig.frontier_ns + NS_PER_S))
                 continue
-            apply(rig, self._coming.popleft())
+            with _named(change):
+                apply(rig, self._coming.popleft())
             if change.kind is InputKind.PARAMETER:
                 self.configurations.append(rig.config)
                 info, before = rig.info(), self.calibrations[-1]
@@ -223,6 +226,18 @@ class Resimulation:
         if change.kind is InputKind.FAULT:
             return self.rig.start_ns
         return self.rig.start_ns + change.sample * TICKS_PER_S // self.rig.rate_hz * COMMAND_GRID_NS
+
+
+@contextlib.contextmanager
+def _named(entry: JournalEntry) -> Iterator[None]:
+    """Put a description of a journal entry in front of the message of a ConfigError or CommandError."""
+    try:
+        yield
+    except (ConfigError, CommandError) as error:
+        raise type(error)(
+            f"entry {entry.sequence}, counted from 0, of the journal of inputs (`rig/journal`) cannot be simulated "
+            f"again, so it was damaged or changed, or is of another version of impact_rig: {error}"
+        ) from error
 
 
 def apply(rig: Rig, change: JournalEntry) -> None:
@@ -251,10 +266,7 @@ def apply(rig: Rig, change: JournalEntry) -> None:
         rig.inject(change.fault)
     elif change.kind is InputKind.CLEAR_FAULT:
         if change.value is not None and not change.value.is_integer():
-            raise ConfigError(f"journal entry {change.sequence}: number of a fault must be whole, got {change.value!r}")
+            raise ConfigError(f"the number of the fault to clear must be whole, got {change.value!r}")
         rig.clear_fault(None if change.value is None else int(change.value))
     elif change.kind is InputKind.COMMAND:
-        raise ConfigError(
-            f"journal entry {change.sequence}: name of a command must be frequency or current, "
-            f"got {quoted(change.name)}"
-        )
+        raise ConfigError(f"a command must be for frequency or current, got {quoted(change.name)}")

@@ -64,7 +64,11 @@ def of_run(run: Run) -> Iterator[JournalEntry]:
         ConfigError: a message is not a valid journal.
     """
     for message in run.messages([topics.JOURNAL.name], recorded_order=True):
-        yield from entries(message)
+        try:
+            found = entries(message)
+        except ConfigError as error:
+            raise ConfigError(f"{run.path}: {error}") from error
+        yield from found
 
 
 def entries(message: Message) -> list[JournalEntry]:
@@ -78,7 +82,10 @@ def entries(message: Message) -> list[JournalEntry]:
     try:
         return list(_of_table(codec.decode(message.data, TOPIC)))
     except CodecError as error:
-        raise ConfigError(str(error)) from error
+        raise ConfigError(
+            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed: "
+            f"{error}"
+        ) from error
 
 
 def _of_table(table: Table) -> Iterator[JournalEntry]:
@@ -96,8 +103,8 @@ def _entry(stamp_ns: int, rows: Sequence[np.void]) -> JournalEntry:
         kind = InputKind.PARAMETER if first["kind"] in _CONTINUE else InputKind(word)
     except ValueError:
         raise ConfigError(
-            f"a row of the recorded journal has the kind {word!r}, which this version does not know; read the run with "
-            "the version of impact_rig that recorded it"
+            f"the journal of inputs (`rig/journal`) is a table, and one of its rows has the kind {word!r}, which this "
+            "version does not know; read the run with the version of impact_rig that recorded it"
         ) from None
     sample, stamp = int(first["sample"]), stamp_ns + round(float(first["time"]) * NS_PER_S)
     name, value, text = bytes(first["key"]).decode(), float(first["value"]), bytes(first["text"]).decode()
@@ -143,6 +150,6 @@ def _fault(key: str, value: float, text: str, sample: int) -> Fault:
         )
     except (ValueError, struct.error, CommandError) as error:
         raise ConfigError(
-            f"the journal is a table of an earlier version, and its row with key {key!r} and text {text!r} describes "
-            "no valid fault"
+            "the journal of inputs (`rig/journal`) is a table of an earlier version, and was damaged or changed: its "
+            f"row with key {key!r} and text {text!r} describes no valid instrument fault"
         ) from error

@@ -120,7 +120,7 @@ class DamagedFile:
         os.close(self.fd)
 
     def read(self, found: Found) -> bytes:
-        """Return the bytes of a record that `walk` has found, with its head."""
+        """Return all bytes of a record that `walk` has found, with its head (opcode and length)."""
         return self._read(found.offset, found.length)
 
     def content(self, found: Found) -> memoryview:
@@ -153,10 +153,10 @@ class DamagedFile:
     def _record_at(self, offset: int) -> Found:
         head = self._read(offset, _CHUNK_HEAD_BYTES)
         if len(head) < RECORD_HEAD.size:
-            raise DamageError("the file ends inside a record")
+            raise DamageError("the file ends inside this record")
         opcode, length = RECORD_HEAD.unpack_from(head)
         if length > self.size - offset - RECORD_HEAD.size:
-            raise DamageError("the file ends inside a record, or the length of the record is damaged")
+            raise DamageError("the file ends inside this record, or its length is damaged")
         try:
             budget.allow("bytes in a record", length, budget.CHUNK_BYTES + budget.MIB)
         except BudgetError as error:
@@ -167,7 +167,7 @@ class DamagedFile:
         elif opcode in _CHECKS:
             _CHECKS[opcode](self.content(found))
         else:
-            raise DamageError(f"no record of an MCAP data section begins with the byte {opcode}")
+            raise DamageError(f"no record of MCAP that holds data begins with the byte {opcode}")
         return found
 
     def _next_record(self, start: int) -> int:
@@ -254,7 +254,7 @@ class _Blocks:
     _rate_hz: float | None = None
 
     def add(self, table: Table) -> None:
-        """Count a recovered block of scans; blocks must be added in the order of recording."""
+        """Count a recovered block of scans, to find gaps between blocks; add them in the order of recording."""
         self._found.append((table.stamp_ns, len(table.rows)))
         self._rate_hz = self._rate_hz or scan_rate_hz(table)
 
@@ -430,8 +430,11 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         counts = int(record["damages"]), int(record["lost_bytes"])
         return Recovered(record["source"], *counts, missing, record["unfinished"] == "1")
     except (KeyError, ValueError) as error:
-        why = f"it has no {error}" if isinstance(error, KeyError) else error
-        raise DamageError(f"invalid metadata record {RECORD_NAME!r}: {why}") from error
+        why = f"it has no entry {error}" if isinstance(error, KeyError) else error
+        raise DamageError(
+            f"the metadata record {RECORD_NAME!r}, the losses of the recovery that wrote this run, is invalid: {why}; "
+            "impact-rig recover writes a run with the same messages without these losses"
+        ) from error
 
 
 def is_cut_short(run: Run) -> bool:
@@ -443,7 +446,10 @@ def is_cut_short(run: Run) -> bool:
     Raises:
         DamageError: the record of the recovery is invalid.
     """
-    recovered = read_record(run.record(RECORD_NAME))
+    try:
+        recovered = read_record(run.record(RECORD_NAME))
+    except DamageError as error:
+        raise DamageError(f"{run.path}: {error}") from error
     return recovered is not None and recovered.unfinished
 
 
@@ -512,7 +518,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     if writer is None:
         reasons = [*dict.fromkeys(damage.reason for damage in report.damages)] or ["it holds no messages"]
         more = f"; and {len(reasons) - _MAX_SHOWN} more reasons" if len(reasons) > _MAX_SHOWN else ""
-        raise RecordingError(f"nothing can be recovered from {source}: {'; '.join(reasons[:_MAX_SHOWN])}{more}")
+        raise RecordingError(f"no message can be recovered from {source}: {'; '.join(reasons[:_MAX_SHOWN])}{more}")
     return report
 
 
@@ -723,7 +729,8 @@ class _Salvage:
             known = list(self._unpack(found, content))
         except (DamageError, BudgetError) as error:
             unchecked = isinstance(error, UncheckedError)
-            self._report.note(self._damage(found, f"{error} ({ACCEPT} accepts it)" if unchecked else str(error)))
+            more = f", so its messages are left out ({ACCEPT} accepts it)" if unchecked else ""
+            self._report.note(self._damage(found, f"{error}{more}"))
             return
         self.figures.chunks += is_chunk
         yield from known

@@ -113,7 +113,8 @@ def _check_data_section(source: McapSource) -> bool:
             part = os.pread(source.fd, min(_READ_BYTES, end - position), position)
             if not part:
                 raise DamageError(
-                    f"{source.path} is shorter than its index says; impact-rig recover saves its intact chunks"
+                    f"{source.path} has become shorter since it was opened: copy it again, or save its intact chunks "
+                    "with impact-rig recover"
                 )
             found, position = zlib.crc32(part, found), position + len(part)
     if found != crc:
@@ -184,15 +185,15 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
         for definition in records.definitions(content):
             known = summary.schemas if isinstance(definition, mcap_records.Schema) else summary.channels
             if known.get(definition.id) != definition:
-                yield f"the chunk at byte {segment.offset} defines another {_what(definition)} than the summary"
+                yield f"the chunk at byte {segment.offset} defines another {_what(definition)} than the index"
         if here:
             times += [min(here), max(here)]
         if segment.chunk is not None:
             yield from _index_problems(source, segment, index, here)
     found = {
         "messages": (statistics.message_count, sum(counts.values())),
-        "schemas": (statistics.schema_count, len(summary.schemas)),
-        "channels": (statistics.channel_count, len(summary.channels)),
+        "message definitions": (statistics.schema_count, len(summary.schemas)),
+        "topics": (statistics.channel_count, len(summary.channels)),
         "attachments": (statistics.attachment_count, len(summary.attachment_indexes)),
         "metadata records": (statistics.metadata_count, len(summary.metadata_indexes)),
     }
@@ -211,7 +212,9 @@ def _contradictions(source: McapSource, digest: digests.Digests) -> Iterator[str
 
 
 def _what(definition: mcap_records.Schema | mcap_records.Channel) -> str:
-    return f"schema {definition.name}" if isinstance(definition, mcap_records.Schema) else f"topic {definition.topic}"
+    if isinstance(definition, mcap_records.Schema):
+        return f"message definition {definition.name}"
+    return f"topic {definition.topic}"
 
 
 def _index_problems(

@@ -273,7 +273,7 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
             found.append([])
         found[-1].append(entry)
     if problem is not None and not found:
-        raise RecordingError(f"no message on {journal} is a journal entry; the first one is invalid: {problem}")
+        raise RecordingError(f"no message on {journal} is a valid entry; the first one: {problem}")
     return found, _overlapping(found, sent), max(0, starts - 1), foreign
 
 
@@ -823,7 +823,9 @@ class _OtherTopics:
             found = [parse(text.encode()) for text in recorded]
             opened = None if attached is None else parse(attached)
         except ConfigError as error:
-            return Compared(name, count, f"text {len(found)}, counted from 0: {error}")
+            is_topic = len(found) < len(recorded)
+            where = f"text {len(found)}, counted from 0," if is_topic else f"the attachment {CONFIGURATION}"
+            return Compared(name, count, f"{where} is no valid configuration of this version: {error}")
         self._descriptions |= {robot_description(config) for config in found}
         published = [_deciding(config) for config in found]
         other = [number for number, config in enumerate(published) if config not in self._configurations]
@@ -885,7 +887,7 @@ class _Monitor:
         try:
             layout = members(schema) if schema else []
         except RecordingError as error:
-            raise RecordingError(f"{run.path}: {topic}: {error}") from error
+            raise RecordingError(f"{run.path}: the message definition of {topic} cannot be used: {error}") from error
 
         def read(message: Message) -> tuple[int, dict[str, Any]]:
             return codec.header_stamp_ns(message.data), codec.plain(message.data, layout)

@@ -127,6 +127,8 @@ class Golden:
 def first_difference(found: Iterable[Table], expected: Iterable[Table], tolerances: Mapping[str, float]) -> str:
     """Return a description of the first difference between two series of tables; an empty text if there is none.
 
+    Other numbers of tables, rows or columns, and other stamps, are differences, too.
+
     Args:
         found: tables to check.
         expected: correct tables.
@@ -134,7 +136,7 @@ def first_difference(found: Iterable[Table], expected: Iterable[Table], toleranc
             for bit.
 
     Raises:
-        ConfigError: `tolerances` names a column that the tables do not have.
+        ConfigError: `tolerances` names a column that a compared table does not have.
     """
     got, right = list(found), list(expected)
     for one, other in zip(got, right, strict=False):

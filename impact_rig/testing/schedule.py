@@ -514,8 +514,8 @@ class LocalRigWithNodes(LocalRig):
             with contextlib.closing(result), contextlib.suppress(StopIteration):
                 result.send(None)
                 raise BlockedError(
-                    f"{hosted.name} blocks: {what} waits at an `await` for a result that only another callback of this "
-                    "executor can give; process the result in that callback"
+                    f"{hosted.name} blocks: {what} waits at an `await` for a result that only another callback can "
+                    "give, and this schedule, unlike rclpy, does not resume it; process the result in that callback"
                 )
 
     @contextlib.contextmanager

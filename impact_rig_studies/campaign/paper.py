@@ -56,7 +56,10 @@ DEMO_POINTS_LIMIT = 3.0  # as POINTS_LIMIT, for the demo, which measures each ca
 
 @attrs.frozen
 class Reductions:
-    """Reductions of the transmissibility DT by gap [m], compared with the run without the sphere."""
+    """Reductions of the transmissibility DT by gap [m], at one drive frequency, in percent of DT without the sphere.
+
+    The paper compares at `FREQUENCY_HZ`.
+    """
 
     dt_no_sphere: float  # transmissibility without the sphere
     dt: Mapping[float, float]  # DT by gap

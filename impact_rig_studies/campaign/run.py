@@ -114,7 +114,8 @@ class Finished:
         except (OSError, ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
             why = f"no column {error}" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
             raise RecordingError(
-                f"{path} is not a valid calibration: {why}; import the campaign again into a new directory"
+                f"{path}, the stored calibration, is damaged, changed or unreadable: {why}; import the campaign again "
+                "into a new directory"
             ) from error
         return found
 

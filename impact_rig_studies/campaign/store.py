@@ -49,6 +49,8 @@ SHOWN = 60  # number of characters of a wrong value quoted in an error
 _POSITIVE = frozenset({"frequency", "transmissibility", "base_amplitude", "laser_amplitude"})
 """Columns that must be > 0 in rows whose status is one of `states.MEASURED`."""
 _WORDS: dict[str, type[enum.StrEnum]] = {"regime": Regime, "method": Method, "status": Status}
+_RESULT = "a stored result, is damaged, changed or unreadable"
+_TRACE = "a stored trace, is damaged, changed or unreadable"
 _TEXTS = frozenset(name for name in TRANSMISSIBILITY.names or () if TRANSMISSIBILITY[name].kind == "S")
 
 
@@ -152,14 +154,14 @@ class Store:
             raise
         except (OSError, ValueError, RecursionError) as error:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-            raise DamagedPointError(f"{path} is not a valid stored result: {why}") from error
+            raise DamagedPointError(f"{path}, {_RESULT}: {why}") from error
         if not isinstance(found, dict):
-            raise DamagedPointError(f"{path} is not a valid stored result: a JSON object is expected")
+            raise DamagedPointError(f"{path}, {_RESULT}: it is not a JSON object")
         part = _Checked(path, found)
         if part.text("key") != job.key:
             whose = part.text("job")[:SHOWN]
             raise DamagedPointError(
-                f"{path} holds the result of another job ({whose}): the key in it must be {job.key}"
+                f"{path} was renamed or exchanged: it holds the result of another job ({whose}), not {job.key}"
             )
         rows = part.each("rows", job.repetitions * len(job.plan().points()))
         names = TRANSMISSIBILITY.names or ()
@@ -191,18 +193,20 @@ class Store:
                 arrays = {name.removesuffix(".npy"): _column(archive.read(name)) for name in names}
         except (OSError, ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-            raise DamagedPointError(f"{path} is not a valid stored trace: {why}") from error
+            raise DamagedPointError(f"{path}, {_TRACE}: {why}") from error
         if size > MAX_TRACE_BYTES:
-            raise DamagedPointError(f"{path} must hold at most {MAX_TRACE_BYTES} unpacked bytes, got {size}")
+            raise DamagedPointError(
+                f"{path}, {_TRACE}: it must hold at most {MAX_TRACE_BYTES} unpacked bytes, got {size}"
+            )
         for name in ("time", "laser", "accelerometer", *TRUE_COLUMNS):
             column = arrays.get(name)
             if column is None or not len(column) or len(column) != len(arrays["time"]):
                 found = "none" if column is None else f"{len(column)}"
                 raise DamagedPointError(
-                    f"{path}: column {name} must have at least one value, and as many as time, got {found}"
+                    f"{path}, {_TRACE}: column {name} must have at least one value, and as many as time, got {found}"
                 )
             if not np.all(np.abs(column) <= MOST):
-                raise DamagedPointError(f"{path}: column {name} must be finite and within ±{MOST:g}")
+                raise DamagedPointError(f"{path}, {_TRACE}: column {name} must be finite and within ±{MOST:g}")
         if hashlib.sha256(packed).hexdigest() != digest:
             raise DamagedPointError(
                 f"{path} was changed after it was stored, or belongs to another result: its digest is not the one in "
@@ -282,11 +286,11 @@ class _Checked:
 
     def _value(self, key: str) -> object:
         if key not in self._content:
-            raise DamagedPointError(f"{self._path}: {self._place}{key} is missing")
+            raise DamagedPointError(f"{self._path}, {_RESULT}: {self._place}{key} is missing")
         return self._content[key]
 
     def _wrong(self, key: str, value: object, rule: str) -> DamagedPointError:
-        return DamagedPointError(f"{self._path}: {self._place}{key} must be {rule}, got {shortened(value)}")
+        return DamagedPointError(f"{self._path}, {_RESULT}: {self._place}{key} must be {rule}, got {shortened(value)}")
 
 
 def shortened(value: object) -> str:
@@ -315,8 +319,8 @@ def _column(member: bytes) -> NDArray[np.generic]:
     rest = len(member) - file.tell()
     if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
         raise ValueError(
-            f"an array must be one column of floating-point numbers that fill its {rest} bytes of data, "
-            f"got {dtype} of shape {shape}"
+            f"a column must be a one-dimensional array of floating-point numbers with {rest} bytes of data, got "
+            f"{dtype} of shape {shape}"
         )
     return np.frombuffer(member, dtype, offset=file.tell())
 

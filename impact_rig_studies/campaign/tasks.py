@@ -75,7 +75,7 @@ class Task(WorkItem, Protocol):
         """Check rows that were read from this task's file, and return them in the type in which they were measured.
 
         Raises:
-            ValueError: the rows cannot be a result of this task.
+            ValueError: the number of rows or columns, or a value, cannot be that of a result of this task.
         """
 
 
@@ -153,8 +153,8 @@ class TaskStore(Generic[T]):
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            why = f"no {error}" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
-        message = f"{path} is not a valid stored result: {' '.join(why.split())[:200]}"
+            why = f"no entry {error}" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
+        message = f"{path}, a stored result, is damaged, changed or unreadable: {' '.join(why.split())[:200]}"
         if message not in self.damaged:
             self.damaged.append(message)
         return None

@@ -73,7 +73,7 @@ def _refuse_zeros(arguments: argparse.Namespace, samples: NDArray[np.float64]) -
 def run_frf(arguments: argparse.Namespace) -> int:
     """Measure the frequency response of one channel to another with noise or a chirp, and return the exit code.
 
-    The code is 1 if the test ended early or has no result, for example because noise hides the response.
+    The code is 1 if the test ended early or has no result, for example because noise hides the response; otherwise 0.
     """
     from impact_rig_studies.excitation.files import read  # noqa: PLC0415  # scipy
     from impact_rig_studies.excitation.response import measure  # noqa: PLC0415

@@ -208,8 +208,8 @@ def add_import(commands: Commands) -> None:
     )
     add_config(
         parser,
-        "with --campaign: rig configuration whose sphere, barriers and contact law `identify` takes as known, and "
-        "whose constants start its fit (default: the paper's rig)",
+        "with --campaign: rig configuration whose sphere, barriers and contact law `identify` takes as known, except "
+        "that it fits e near its nominal value, and whose constants start the fit (default: the paper's rig)",
     )
 
 
@@ -423,9 +423,7 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
 def _limit(text: str) -> tuple[str, float]:
     channel, _, value = text.partition("=")
     if channel not in SI:
-        raise argparse.ArgumentTypeError(
-            f"must be CHANNEL=X with a channel of {', '.join(SI)}, e.g. laser=5mm, got {text!r}"
-        )
+        raise argparse.ArgumentTypeError(f"the channel must be one of {', '.join(SI)}, as in laser=5mm, got {text!r}")
     try:
         return channel, positive(SI[channel].strip("()")).number(value)
     except ConfigError as error:

@@ -55,7 +55,7 @@ def words(
     """
     way, *rest = arguments.through
     if way not in ways:
-        raise ConfigError(f"--through must be one of {', '.join(ways)}, got {way!r}")
+        raise ConfigError(f"the way of measuring, --through, must be one of {', '.join(ways)}, got {way!r}")
     address = ""
     if way == "dask":
         if not rest:

@@ -124,7 +124,7 @@ class StudyTask(HashedTask):
         """
         columns = len(COLUMNS[self.kind])
         if any(len(row) != columns for row in rows):
-            raise ValueError(f"a row of results of the study {self.kind} must have {columns} columns")
+            raise ValueError(f"each stored row of the study {self.kind} must have {columns} values")
         return [tuple(row) for row in rows]
 
 
@@ -244,8 +244,8 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
     if not done.rows:
         if any(kept.get(task) is not None for task in plan.tasks):
             raise ConfigError(
-                f"{directory}: the study {kind} has no points, because {UNRESOLVED} from any of its starts; change "
-                "these, the drive or the rig in the file of the study, and run it into another directory"
+                f"{directory}: the study {kind} has no points, because no start gave a motion that can be simulated; "
+                "change the starts, the drive or the rig in the file of the study, and run it into another directory"
             )
         raise ConfigError(
             f"{directory} has no results of the study {kind} from this version of the code; run "

@@ -106,7 +106,10 @@ def _value(key: str, value: object, kind: object) -> object:
         return tuple(float(one) for one in value)
     if kind in ("Response", "str"):
         if kind == "Response" and value not in [*Response]:
-            raise ConfigError(f"{key} must be one of {', '.join(Response)}, got {str(value)[:60]!r}")
+            allowed = ", ".join(Response)
+            raise ConfigError(
+                f"{key}, the response that the test controls, must be one of {allowed}, got {str(value)[:60]!r}"
+            )
         return value
     if isinstance(value, bool) or not isinstance(value, int if kind == "int" else (int, float)):
         raise ConfigError(f"{key} must be {'a whole number' if kind == 'int' else 'a number'}, got {repr(value)[:60]}")

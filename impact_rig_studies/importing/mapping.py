@@ -231,7 +231,8 @@ def _section(key: str, value: object) -> dict[str, object]:
 def _refuse_unknown(where: str, given: AnyMapping[str, object], known: Sequence[str]) -> None:
     for name in given:
         if name not in known:
-            raise ConfigError(f"unknown key {where}{name}{did_you_mean(name, known)}")
+            meant = did_you_mean(name, known) or f", known: {', '.join(known)}"
+            raise ConfigError(f"unknown key {where}{name}{meant}")
 
 
 def _number(key: str, value: object) -> float:

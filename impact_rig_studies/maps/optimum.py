@@ -59,7 +59,10 @@ class Optimum:
     """
 
     def plain(self) -> dict[str, object]:
-        """Return the optimum as a dictionary of plain values for `map.json`."""
+        """Return the optimum as a dictionary for `map.json`, with all attributes but `reading`.
+
+        Instead of `reading` it has four of its values: dt, regime, reduction_percent and impacts_per_cycle.
+        """
         return {
             "over": self.over, "value": self.value, "reduction_percent": self.reading.reduction_percent,
             "dt": self.reading.dt, "regime": self.reading.regime, "impacts_per_cycle": self.reading.impacts_per_cycle,

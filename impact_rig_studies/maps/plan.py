@@ -102,7 +102,7 @@ class MapLine(HashedTask):
                 line as not measured, so that the next run measures it again.
         """
         if len(rows) != len(self.values):
-            raise ValueError(f"a line of {len(self.values)} points cannot have {len(rows)} stored readings")
+            raise ValueError(f"{len(self.values)} stored readings are needed, one for each point, got {len(rows)}")
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
@@ -121,11 +121,11 @@ class MapLine(HashedTask):
 
 
 def _reading(row: Row) -> Reading:
+    if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in row[1:]):
+        raise ValueError(f"a stored reading must be a regime and {len(Reading._fields) - 1} numbers, got {row}")
     regime, *numbers = row
-    if len(row) != len(Reading._fields) or any(isinstance(value, str) for value in numbers):
-        raise ValueError(f"a reading must be a text and {len(Reading._fields) - 1} numbers, got {row}")
     if not (regime == FAILED or float(numbers[0]) > 0.0):
-        raise ValueError(f"the second value of a reading, DT, must be > 0, got {row}")
+        raise ValueError(f"the second value of a stored reading, DT, must be > 0, got {row}")
     return Reading(str(regime), *map(float, numbers))
 
 

@@ -191,7 +191,13 @@ class LockSettings:
         above=0,
         at_most=90,
     )
-    dwell_s: float = quantity(30.0, "s", "Rig time from the first lock to the end of the run.", above=0, at_most=1e9)
+    dwell_s: float = quantity(
+        30.0,
+        "s",
+        "Rig time from the first lock to the end of the run; if the lock is lost then, the run ends at the next lock.",
+        above=0,
+        at_most=1e9,
+    )
 
 
 @attrs.frozen(kw_only=True)

@@ -58,8 +58,8 @@ class ResultSummary:
 def tell(found: object, unit: str = "") -> ResultSummary:
     """Summarise the latest result of a test that plays samples, such as `Reached` or `Frf`.
 
-    If a key figure cannot be computed, `missing` of the summary says so, and is also its only sentence. `unit` is that
-    of the response, or of the frequency response.
+    If there is no result, for example because a key figure cannot be computed, `missing` of the summary says why, and
+    is also its only sentence. `unit` is that of the response, or of the frequency response.
     """
     summary = _TELLERS[type(found)](found, unit)
     lacking = [name for name, value in summary.figures.items() if not _is_known(value)]

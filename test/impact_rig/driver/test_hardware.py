@@ -51,7 +51,7 @@ def test_samples_and_scans_of_different_rates_cannot_be_exchanged() -> None:
 
 @pytest.mark.parametrize("lag", [0, -1])
 def test_an_exchange_needs_a_lag(lag: int) -> None:
-    with pytest.raises(ConfigError, match=f"lag of an exchange must be at least 1 sample, got {lag}"):
+    with pytest.raises(ConfigError, match=f"lag of an Exchange must be at least 1 sample, got {lag}"):
         Exchange(Hardware(LocalRig(STREAM)), lag)
 
 

@@ -131,7 +131,7 @@ def test_an_index_with_a_wrong_chunk_size_counts_as_damage(tmp_path: Path) -> No
     at = data.rindex(size.to_bytes(8, "little"))
     data[at : at + 8] = (size - 1).to_bytes(8, "little")
     path.write_bytes(data)
-    with open_run(path) as run, pytest.raises(DamageError, match="not that in the index"):
+    with open_run(path) as run, pytest.raises(DamageError, match="not that which the index states"):
         list(run.messages())
 
 

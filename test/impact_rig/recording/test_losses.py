@@ -144,7 +144,7 @@ def test_an_invalid_account_counts_as_damage(record, text):
         fill(writer, 3)
     found = info(writer.directory)
     assert not found.intact
-    assert "invalid metadata record" in found.verdict
+    assert "account of received and lost messages, is damaged" in found.verdict
 
 
 def test_a_further_file_repeats_only_the_latest_attachments(record):

@@ -47,7 +47,7 @@ def test_a_truncated_file_is_reported_with_its_own_exit_code(record, tmp_path, c
     text = printed(capsys)
     assert "RecoverReport(" not in text
     assert f"{back} messages saved; an unknown number of messages" in text
-    assert "the file ends inside a record" in text
+    assert "the file ends inside this record" in text
     found = info(tmp_path / "out")
     assert found.recovered.source == "run"
     assert found.recovered.unfinished

@@ -133,7 +133,7 @@ def test_a_run_truncated_at_any_byte_is_recovered(tmp_path, compression, topics,
         expected = max((count for end, count in ends if end <= cut), default=0)
         out = tmp_path / f"out{cut}"
         if not expected:
-            with pytest.raises(RecordingError, match="nothing can be recovered from"):
+            with pytest.raises(RecordingError, match="no message can be recovered from"):
                 recover(cut_file, out)
             assert not out.exists()
             continue
@@ -167,7 +167,7 @@ def test_a_truncated_run_is_readable_by_other_tools_after_recovery(record, tmp_p
     (tmp_path / "cut" / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
     report = recover(tmp_path / "cut", tmp_path / "out")
     assert len(report.damages) == 1
-    assert report.damages[0].reason.startswith("the file ends inside a record")
+    assert report.damages[0].reason.startswith("the file ends inside this record")
     with AnyReader([tmp_path / "out"]) as reader:
         assert sum(1 for _ in reader.messages()) == report.messages > 10
 
@@ -185,7 +185,7 @@ def check_never_wrong(path, out, sent, attachments, provenance):
     try:
         recover(path, out)
     except RecordingError as error:
-        if "nothing can be recovered" not in str(error):
+        if "no message can be recovered" not in str(error):
             raise
         return 0
     got, found, record = read_all(out / f"{out.name}.mcap")
@@ -382,7 +382,7 @@ def test_an_invalid_account_of_losses_counts_as_damage_and_is_left_out(tmp_path)
         writer.add_topic(SMALL_TOPICS[0])
         writer.write_at(SMALL_TOPICS[0].name, string("message"), 10, 20, 1)
     report = recover(writer.directory, tmp_path / "out")
-    assert "invalid metadata record 'impact_rig/losses'" in report.damages[0].reason
+    assert "the metadata record 'impact_rig/losses', the recorder's account" in report.damages[0].reason
     assert info(tmp_path / "out").recovered.damages == report.damage_count == 1
 
 
@@ -411,7 +411,7 @@ def test_files_that_are_not_recordings_are_rejected(tmp_path, content):
     (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(RecordingError, match=r"x.mcap: it"):
         open_run(tmp_path / "x.mcap")
-    with pytest.raises(RecordingError, match="nothing can be recovered"):
+    with pytest.raises(RecordingError, match="no message can be recovered"):
         recover(tmp_path / "x.mcap", tmp_path / "out")
 
 
@@ -489,7 +489,7 @@ def test_a_chunk_that_claims_gigabytes_is_not_decompressed(tmp_path):
     path.write_bytes(data)
     with (
         open_run(path) as run,
-        pytest.raises(RecordingError, match="the decompressed size that it states is not that in the index"),
+        pytest.raises(RecordingError, match="its decompressed size is not that which the index states"),
     ):
         list(run.messages())
     assert recover(path, tmp_path / "out").damage_count == 1

@@ -94,7 +94,7 @@ def stored(tmp_path: Path) -> tuple[Store, Job, Path]:
         ("status", '"splendid"', "rows[0].status must be one of ok"),
         ("simulated_s", "1e999", "simulated_s must be a number"),
         ("lost_scans", "1" + 400 * "0", "lost_scans must be a number"),
-        ("lost_scans", "1" + 5000 * "0", "is not a valid stored result: Exceeds the limit"),
+        ("lost_scans", "1" + 5000 * "0", "a stored result, is damaged, changed or unreadable: Exceeds the limit"),
         ("rows", "{}", "rows must be a list, got {}"),
         ("rows", "[3]", "rows[0] must be a mapping of columns to values, got 3"),
         ("skipped_hz", "[null]", "skipped_hz must be a number"),
@@ -121,7 +121,7 @@ def test_an_invalid_stored_result_is_reported_in_one_line(
 def test_half_a_surrogate_pair_is_reported_in_one_line(stored: tuple[Store, Job, Path]) -> None:
     store, job, file = stored
     file.write_bytes(file.read_bytes().replace(b"2 mm", "2 µm".encode()[:3]))
-    with pytest.raises(DamagedPointError, match=r"is not a valid stored result: .*utf-8"):
+    with pytest.raises(DamagedPointError, match=r"a stored result, is damaged, changed or unreadable: .*utf-8"):
         store.get(job, as_it_is=True)
 
 
@@ -131,9 +131,7 @@ def test_results_with_exchanged_files_are_named(tmp_path: Path, stored: tuple[St
     (other,) = run.unique_jobs(load_campaign(tmp_path / "other.yaml").planned())
     store = Store(tmp_path / "campaign")
     file.replace(file.with_name(f"{other.key}.json"))
-    with pytest.raises(
-        DamagedPointError, match=rf"the result of another job \(gap 2 mm, 9.1 Hz\).* must be {other.key}"
-    ):
+    with pytest.raises(DamagedPointError, match=rf"the result of another job \(gap 2 mm, 9.1 Hz\), not {other.key}"):
         store.get(other, as_it_is=True)
 
 
@@ -146,14 +144,14 @@ def _npy(column: object) -> bytes:
 @pytest.mark.parametrize(
     ("member", "words"),
     [
-        (_npy(np.ones(9)).replace(b"(9,)", b"(9999999999999,)")[:300], "must be one column of floating-point numbers"),
-        (_npy(np.ones((3, 3))), "must be one column of floating-point numbers"),
+        (_npy(np.ones(9)).replace(b"(9,)", b"(9999999999999,)")[:300], "must be a one-dimensional array of floating"),
+        (_npy(np.ones((3, 3))), "must be a one-dimensional array of floating"),
         (_npy(np.ones(0)), "column laser must have at least one value, and as many as time, got 0"),
         (_npy(np.ones(8)), "got 8"),
         (_npy(np.full(9, np.nan)), "column laser must be finite"),
         (_npy(np.full(9, 2.0)), "was changed after it was stored"),
-        (_npy(np.array(["a"] * 9)), "must be one column of floating-point numbers"),
-        (b"", "is not a valid stored trace"),
+        (_npy(np.array(["a"] * 9)), "must be a one-dimensional array of floating"),
+        (b"", "a stored trace, is damaged, changed or unreadable"),
     ],
     ids=["1e13 elements", "reshaped", "empty", "shorter", "nan", "changed", "texts", "nothing"],
 )
@@ -182,7 +180,7 @@ def test_a_stored_trace_with_damaged_compression_is_measured_again(stored: tuple
     content[at] |= 0x06  # a reserved type of block
     path.write_bytes(content)
     assert store.get(job) is None
-    assert "is not a valid stored trace: Error -3 while decompressing" in store.damaged[0]
+    assert "a stored trace, is damaged, changed or unreadable: Error -3 while decompressing" in store.damaged[0]
 
 
 def test_a_stored_trace_that_would_fill_the_memory_is_not_unpacked(stored: tuple[Store, Job, Path]) -> None:

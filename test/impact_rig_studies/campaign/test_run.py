@@ -312,7 +312,7 @@ def test_an_interrupted_parallel_campaign_resumes_with_the_same_bits(tmp_path, m
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--through", "telepathy"], "--through must be one of process, ros, dask"),
+        (["--through", "telepathy"], "the way of measuring, --through, must be one of process, ros, dask"),
         (["--through", "dask"], "needs the address of a scheduler"),
         (["--workers", "0"], "--workers must be >= 1"),
         (["--only", "nothing"], "study must be one of pair, sweep"),

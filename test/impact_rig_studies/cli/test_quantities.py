@@ -180,7 +180,7 @@ def test_a_length_without_a_unit_is_rejected_in_every_command(
     ("words", "message"),
     [
         (["base"], "base: must be a number with its unit, e.g. 6mm"),
-        (["mass=1"], "must be CHANNEL=X with a channel of accelerometer, laser, base, current"),
+        (["mass=1"], "the channel must be one of accelerometer, laser, base, current"),
         (["laser=0.005"], "laser: a length needs a unit after the number"),
         (["current=2A", "base=-1mm"], "base: must be > 0 m"),
         (["current=2mm"], "current: the unit must be one of A, mA"),
