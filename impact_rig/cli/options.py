@@ -108,7 +108,7 @@ def add_run(parser: argparse.ArgumentParser, what: str = "run directory or .mcap
 
 def add_recorded_rig(
     parser: argparse.ArgumentParser,
-    what: str = "namespace of the rig to read; required if several were recorded (default: the only one recorded)",
+    what: str = "namespace of the rig to read from the recording; required if it has several (default: the only one)",
 ) -> None:
     """Add the option `--rig`, the namespace of one rig of a recording with several rigs, with help text `what`."""
     parser.add_argument(RIG_OPTION, dest="rig", metavar="NAMESPACE", help=what)
