@@ -251,7 +251,7 @@ def test_a_damaged_line_is_reported_when_it_is_measured_again(small, tmp_path, c
     damaged.write_text("{")
     assert main(["map", str(copied / "map.yaml"), "--output", str(copied), "--no-figures"]) == 0
     shown = "".join(capsys.readouterr().out.split())  # lines are wrapped
-    assert f"{damaged.name}isnotavalidstoredresult:Expectingpropertyname" in shown
+    assert f"{damaged.name},astoredresult,isdamaged,changedorunreadable:Expectingpropertyname" in shown
     assert "itwasmeasuredagain" in shown
     json.loads(damaged.read_text())
 
