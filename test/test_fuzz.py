@@ -108,7 +108,7 @@ def test_an_invalid_journal_is_rejected_by_name(members: dict[str, object], word
 
 
 def test_a_line_that_is_nested_too_deeply_is_rejected() -> None:
-    with pytest.raises(ConfigError, match="must be JSON"):
+    with pytest.raises(ConfigError, match="it is not valid JSON"):
         JournalEntry.from_line("[" * 100_000)
 
 

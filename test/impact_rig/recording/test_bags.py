@@ -219,7 +219,7 @@ def test_the_advice_for_an_unfinished_bag_works(native, tmp_path, chunked):
     path = rewrite(native, tmp_path / "cut.mcap", finish=False, use_chunking=chunked, enable_crcs=False)
     with pytest.raises(RecordingError, match="impact-rig recover"):
         open_run(path)
-    with pytest.raises(RecordingError, match=r"carries no checksum .*--accept-unchecked accepts it"):
+    with pytest.raises(RecordingError, match=r"carries no checksum.*--accept-unchecked accepts it"):
         recover(path, tmp_path / "strict")
     report = recover(path, tmp_path / "out", accept_unchecked=True)
     assert report.complete
