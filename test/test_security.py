@@ -174,7 +174,7 @@ def test_the_stated_limits_are_those_of_the_code() -> None:
         "MCAP chunk, or any other record": [f"{budget.CHUNK_BYTES // mib} MiB × n"],
         "MCAP chunks whose messages are not in order": [f"{budget.HELD_BYTES // mib} MiB × n"],
         "all chunks of a recording": [
-            f"{budget.DECOMPRESSED_BYTES // mib} MiB and {budget.DECOMPRESSED_PER_BYTE} bytes",
+            f"{budget.DECOMPRESSED_BYTES // mib} MiB + {budget.DECOMPRESSED_PER_BYTE} × the size",
             f"{budget.RECORDS:,} records",
         ],
         "index of an MCAP file; topics": [f"{budget.INDEX_BYTES // mib} MiB × n", f"{budget.TOPICS:,} × n"],
