@@ -87,7 +87,7 @@ def journal_with(number: int, **members: object) -> list[JournalEntry]:
         ({"kind": "parameter", "values": {"daq.sed": 5}}, "unknown configuration value 'daq.sed'"),
         ({"kind": "parameter", "values": {"sphere.start": [1]}}, "sphere.start must be of type str"),
         ({"kind": "parameter", "values": {"instruments.faults.planned": [1]}}, r"of type list of texts, got \[1\]"),
-        ({"kind": "clear_fault", "value": math.nan}, "number of the fault to clear must be whole, got nan"),
+        ({"kind": "clear_fault", "value": math.nan}, "number of the fault to clear must be an integer, got nan"),
         ({"kind": "fault"}, "of kind fault needs a fault"),
         ({"kind": "fault", "fault": {"kind": "dropout", "channel": "laser", "seed": "x"}}, "seed of its fault"),
         (

@@ -266,7 +266,7 @@ def apply(rig: Rig, change: JournalEntry) -> None:
         rig.inject(change.fault)
     elif change.kind is InputKind.CLEAR_FAULT:
         if change.value is not None and not change.value.is_integer():
-            raise ConfigError(f"the number of the fault to clear must be whole, got {change.value!r}")
+            raise ConfigError(f"the number of the fault to clear must be an integer, got {change.value!r}")
         rig.clear_fault(None if change.value is None else int(change.value))
     elif change.kind is InputKind.COMMAND:
         raise ConfigError(f"a command must be for frequency or current, got {quoted(change.name)}")
