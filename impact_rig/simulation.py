@@ -102,7 +102,9 @@ class Record:
         return f"DT {plus_minus(value, u)} (2u) at {self.measurements[-1]['frequency']:g} Hz"
 
     def plot(self, path: Path | str | None = None) -> Figure:
-        """Draw base, structure and acceleration in the last half second against time.
+        """Draw the readings of base, laser and accelerometer in the last half second against time.
+
+        Impacts that the analysis found are marked.
 
         Args:
             path: file to write as well, in the format of its suffix (.png, .svg, .pdf, …), which replaces an existing

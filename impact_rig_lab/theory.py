@@ -142,7 +142,7 @@ def contradiction(prediction: Mapping[str, Any], impacts_per_cycle: float) -> st
 
 
 class Continued(NamedTuple):
-    """Branches of periodic motions of the model over frequency, computed before by `impact-rig dynamics continue`."""
+    """Branches of periodic motions of the model over frequency, from a directory of `impact-rig dynamics continue`."""
 
     values: Mapping[str, Any]  # configuration values of `DECIDING` for which they were computed, without sphere.start
     amplitude: float  # peak amplitude of the drive for which they were computed; unit by `drive.kind`

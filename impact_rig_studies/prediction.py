@@ -155,7 +155,10 @@ class Manifold:
         return (self.kappa + root) / both
 
     def xi(self, theta: Real | float) -> Real:
-        """Return ξ = A/b of the motion with Θ: the structure's amplitude over half the gap."""
+        """Return ξ = A/b, the structure's amplitude over half the gap, of motions with Θ.
+
+        `theta` is Θ, the sphere's amplitude over half the gap, shape (n,), as is the result.
+        """
         found: Real = np.hypot(self.kappa * np.asarray(theta, float) - 1.0, self.rho * np.asarray(theta, float))
         return found
 
@@ -569,7 +572,11 @@ def best_gap(motions: Branch) -> Branch:
 
 
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
-    """Return the Θ of all motions at this gap, in descending order, as one array per frequency."""
+    """Return Θ, the sphere's amplitude over half the gap, of all motions with two symmetric impacts at this gap.
+
+    The result is one array per frequency, in descending order. `held` is the amplitude that is held constant: that of
+    the coil current, the inferior base or the superior base.
+    """
     grid = rig.thetas()
     rows, columns = [], []
     for first in range(0, len(frequencies_hz), _AT_ONCE):

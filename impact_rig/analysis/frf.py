@@ -79,7 +79,8 @@ class Frf:
 
     Attributes:
         u_relative: relative standard uncertainty of |H1|, which is also that of its phase [rad], shape (n,). A result
-            of `frf` contains the effect of noise alone, one of `transmissibility_frf` also calibration and resolution.
+            of `frf` contains the effect of noise alone, one of `transmissibility_frf` also the calibration, and the
+            error at the resonance because segments are of finite length (`resolution_bias`).
         resonance: the resonance in the excited band; None if no single one fits. Only `transmissibility_frf` finds it.
     """
 

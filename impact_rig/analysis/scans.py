@@ -104,7 +104,8 @@ def need_columns(
     """Check that a table has the columns of the row type `wanted`, with numbers and texts where that type has them.
 
     The columns named in `later` may be missing: earlier versions did not write them, or the channel was not measured.
-    `topic` is the name in the message of the error, and `why` its reason for a missing column, in parentheses.
+    `topic` is the name in the message of the error. `why` is put behind the names of missing
+    columns as it is, with its blank and parentheses.
 
     Raises:
         ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.

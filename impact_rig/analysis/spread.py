@@ -135,10 +135,12 @@ class Behaviour:
 
 
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
-    """Classify a response as periodic, modulated or chaotic by its drive cycles.
+    """Classify a response by its drive cycles.
+
+    It is periodic if it repeats after a few of them, else modulated (a few spectral lines) or chaotic (a continuum).
 
     Args:
-        deviation: relative deviation ε_k of the fundamental of x_1 in each cycle, shape (n,).
+        deviation: deviation ε_k of the fundamental of x_1 in each cycle from its mean, relative to this, shape (n,).
         noise_variance: E|ε|² that noise alone causes.
         tolerance: rms of ε up to which a deviation is negligible.
         strikes: 1 for each cycle and part of it with an impact, 0 elsewhere (`Cycles.strikes`), shape (n, bins).

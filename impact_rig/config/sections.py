@@ -293,7 +293,7 @@ class Step:
 
 @attrs.frozen(kw_only=True)
 class Pluck:
-    """Pluck test: free decay of the structure after ~/pluck."""
+    """Pluck test: free decay of the structure from ~/pluck until ~/reset."""
 
     displacement_m: float = quantity(
         2e-3, "m", "Displacement x_1 from which ~/pluck releases the superior base.", at_least=-0.1, at_most=0.1

@@ -392,8 +392,8 @@ class RigDriver(abc.ABC):
 
         Raises:
             CommandError: both values are None, one is out of range, the drive does not accept it, the shaker is
-                stopped, or no command can act on this scan. A rig that runs by itself may pass `at_sample` before the
-                command arrives; the command then acts later.
+                stopped, or no command can act on this scan. The error is also raised if a rig that runs by itself had
+                passed `at_sample` when the command arrived; the command then acts nevertheless, from a later scan on.
             ConfigError: the rig has already passed `at_sample`.
             TimeoutError: as for `step`, on the way to `at_sample`.
         """

@@ -174,7 +174,8 @@ def _stream(entry: dict[str, object]) -> PublisherStream:
         type(number) is not int or number < 0 for number in (stream.first, stream.newest, stream.received, stream.lost)
     ):
         raise ValueError(
-            f"{entry} is not a valid count of a publisher's messages (publisher, first, newest, received, lost)"
+            f"{entry} does not count the messages of a publisher: publisher must be a text, and first, newest, "
+            "received and lost must be integers >= 0"
         )
     return stream
 

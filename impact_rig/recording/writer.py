@@ -166,7 +166,7 @@ class RunWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Number of bytes on disk in all MCAP files of the run, without a tail."""
+        """Number of bytes on disk in all MCAP files of the run; a tail (`Tail`), a file of its own, is left out."""
         return self._bytes_before + self._file.size
 
     @property

@@ -406,7 +406,7 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=int,
         default=rate_hz,
         metavar="HZ",
-        help=f"scans per second, and samples per second to which the drive is resampled (default: {rate_hz})",
+        help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
     )
     parser.add_argument(
         "--abort",
@@ -686,8 +686,8 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
     )
     add_output(
         parser,
-        "directory of the results; those already in it are not computed again (default: "
-        f"runs/{command}_NAME for a file NAME.yaml)",
+        "directory of the results. If the file was changed, only what is missing is computed, but the rig must be the "
+        f"same (default: runs/{command}_NAME for a file NAME.yaml)",
     )
     parser.add_argument(
         "--workers",

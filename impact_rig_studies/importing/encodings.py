@@ -33,7 +33,8 @@ def decode(content: bytes) -> tuple[str, str]:
     """Return the text of a file and the name of its encoding.
 
     A byte order mark decides. Without one, the encoding is UTF-16 if many of the first bytes are zero. Otherwise it is
-    the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid.
+    the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid. Behind a byte order mark and in UTF-16, invalid
+    bytes become U+FFFD. No content is an error.
     """
     for mark, name in MARKS:
         if content.startswith(mark):

@@ -102,7 +102,7 @@ class MapLine(HashedTask):
                 line as not measured, so that the next run measures it again.
         """
         if len(rows) != len(self.values):
-            raise ValueError(f"{len(self.values)} stored readings are needed, one for each point, got {len(rows)}")
+            raise ValueError(f"it holds {len(rows)} readings of a line of the map that has {len(self.values)} points")
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:

@@ -74,7 +74,10 @@ class MeasuredData:
 
 
 def of_campaign(done: Finished) -> MeasuredData:
-    """Return the content of the report of an imported campaign, with the last measurement of each settled point."""
+    """Return the content of the report of an imported campaign.
+
+    It has the last measurement of each settled point, and the reason for each other one.
+    """
     settled = [point for point in done.points if point.settled]
     parts = [point.rows[-1:] for point in settled]
     rows: NDArray[np.void] = np.concatenate(parts) if parts else np.empty(0, TRANSMISSIBILITY)
