@@ -521,7 +521,7 @@ def test_a_port_in_use_is_reported_in_one_line() -> None:
 def test_the_script_of_the_page_measures_the_dt_of_the_rig(tmp_path: Path) -> None:
     page = PAGE.read_text(encoding="utf-8")
     script = re.search(r"```python[^\n]*\n(.*?)```", page, re.DOTALL)
-    printed = re.search(r"It prints DT (\S+) ± (\S+), as `impact-rig record --current (\S+)` measures", page)
+    printed = re.search(r"It prints DT (\S+) ± (\S+) .*, as `impact-rig record --current (\S+)` measures", page)
     assert script is not None
     assert printed is not None
     stated, limit = float(printed[1]), float(printed[2])
