@@ -106,8 +106,6 @@ COLUMNS = (
     "bandwidth", "linearity", *STEPS, "high_pass",
 )  # fmt: skip
 LARGEST = 1e100  # limit of every figure, so that its square does not overflow
-
-
 _REMEDY = "correct the program that publishes it"
 
 

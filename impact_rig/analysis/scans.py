@@ -104,8 +104,7 @@ def need_columns(
     """Check that a table has the columns of the row type `wanted`, with numbers and texts where that type has them.
 
     The columns named in `later` may be missing: earlier versions did not write them, or the channel was not measured.
-    `topic` is the name in the message of the error. `why` is put behind the names of missing
-    columns as it is, with its blank and parentheses.
+    `topic` is the name in the message of the error, and `why` the reason for the columns, stated in parentheses.
 
     Raises:
         ConfigError: a column is missing, or holds text instead of numbers, or numbers instead of text.
@@ -117,7 +116,7 @@ def need_columns(
     names = found.names or ()
     missing = [name for name in wanted.names or () if name not in names and name not in later]
     if missing:
-        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}{why}; {remedy}")
+        raise ConfigError(f"{topic} lacks the column {', '.join(missing)}{why and f' ({why})'}; {remedy}")
     for name in set(names).intersection(wanted.names or ()):
         is_text = found[name].kind == "S"
         if is_text != (wanted[name].kind == "S"):

@@ -266,7 +266,7 @@ class Tracker:
         absent = CHANNELS if self._calibration is None else self._calibration.absent
         rows = scan.rows
         if self._taken != (rows.dtype, absent):
-            why = f" (it must have every channel that {topics.INFO.name} lists)"
+            why = f"it must have every channel that {topics.INFO.name} lists"
             need_columns(scan, SCAN, topics.SCAN.name, later=absent, why=why)
             self._taken = rows.dtype, absent
         if not len(rows):

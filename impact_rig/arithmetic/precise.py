@@ -246,8 +246,8 @@ def modulus(z: Complex) -> Decimal:
 def square_root(z: Complex) -> Complex:
     """Return the square root of z whose real part is >= 0.
 
-    It is a/2 + i Im z / a with a² = 2 (|z| + Re z) if Re z >= 0 (0 for z = 0), and otherwise follows
-    from the root of −z.
+    If Re z >= 0, it is a/2 + i Im z / a with a² = 2 (|z| + Re z), and 0 for z = 0. Otherwise it follows from the root
+    of −z.
     """
     if z.real < 0:
         mirrored = square_root(-z)

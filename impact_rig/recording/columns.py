@@ -27,8 +27,7 @@ tables, the time of every row is the stamp of its message.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,7 +61,7 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
     dtype: np.dtype[np.void] | None = None
     tables: list[Table] = []
     earlier: list[bool] = []
-    waiting, is_earlier = 0, earlier_than(run)
+    waiting = 0
     origin_ns = first_scan_ns(run, topic)
     for message, table in run.received_tables(topic):
         if dtype is None:
@@ -74,7 +73,7 @@ def batches(run: Run, topic: str) -> Iterator[Columns]:
             )
         origin_ns = table.stamp_ns if origin_ns is None else origin_ns
         tables.append(table)
-        earlier.append(is_earlier(message))
+        earlier.append(is_earlier(run, message))
         waiting += table.rows.nbytes
         if waiting >= BATCH_BYTES:
             yield _joined(tables, earlier, origin_ns)
@@ -122,24 +121,15 @@ def first_scan_ns(run: Run, topic: str) -> int | None:
     return next((table.stamp_ns for table in run.tables(scans)), None)
 
 
-def earlier_than(run: Run) -> Callable[[Message], bool]:
-    """Return a function that tells whether a message was published before its recording began, as latched ones can be.
+def is_earlier(run: Run, message: Message) -> bool:
+    """Return whether a message was published before its recording began, as latched messages can be.
 
-    It returns False if the publish time of the message or the start of the recording is unknown. The start is read
-    once, not for each of a recording's many thousand messages.
+    It is False if the publish time of the message or the start of the recording is unknown.
     """
-
-    @functools.cache
-    def wall_start_ns() -> int:
-        text = run.provenance.get("wall_start_ns", "")
-        return int(text) if text.isdecimal() else 0
-
-    def is_earlier(message: Message) -> bool:
-        if message.publish_time == message.log_time:
-            return False  # the writer knew no publish times: both times are rig time
-        return message.publish_time < wall_start_ns()
-
-    return is_earlier
+    text = run.provenance.get("wall_start_ns", "")
+    if message.publish_time == message.log_time:
+        return False  # the writer knew no publish times: both times are rig time
+    return text.isdecimal() and message.publish_time < int(text)
 
 
 def leading(

@@ -24,6 +24,7 @@ from __future__ import annotations
 import bisect
 import contextlib
 import fcntl
+import functools
 import os
 import re
 import zlib
@@ -200,7 +201,7 @@ class Run:
         """Log time [ns] of the latest message, which is rig time in runs of this package; 0 without messages."""
         return max((s.statistics.message_end_time for s in self._with_messages()), default=0)
 
-    @property
+    @functools.cached_property
     def provenance(self) -> dict[str, str]:
         """Provenance of the run (version, seed, wall_start_ns, …); empty for files of other recorders.
 

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from impact_rig import topics
 from impact_rig.errors import RecordingError
 from impact_rig.names import csv_cell, file_name, one_line
-from impact_rig.recording.columns import EARLIER, TIME, Columns, batches, complete, earlier_than, first_scan_ns, leading
+from impact_rig.recording.columns import EARLIER, TIME, Columns, batches, complete, first_scan_ns, is_earlier, leading
 from impact_rig.recording.reader import Run
 from impact_rig.runs import recorded_journal
 from impact_rig.system import extras, files
@@ -123,9 +123,8 @@ def _journal_columns(run: Run) -> Columns:
     `value` is a number, NaN without one. The columns `values` and `fault` hold JSON texts, which are empty if an entry
     has none.
     """
-    is_earlier = earlier_than(run)
     found = [
-        (is_earlier(message), entry)
+        (is_earlier(run, message), entry)
         for message in run.messages([topics.JOURNAL.name], recorded_order=True)
         for entry in recorded_journal.entries(message)
     ]

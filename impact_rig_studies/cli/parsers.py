@@ -686,8 +686,8 @@ def _add_tasks(parser: argparse.ArgumentParser, command: str, what: str, example
     )
     add_output(
         parser,
-        "directory of the results. If the file was changed, only what is missing is computed, but the rig must be the "
-        f"same (default: runs/{command}_NAME for a file NAME.yaml)",
+        "directory of the results; only those missing in it are computed, also after a change of the file, in which "
+        f"the rig must stay the same (default: runs/{command}_NAME for a file NAME.yaml)",
     )
     parser.add_argument(
         "--workers",
