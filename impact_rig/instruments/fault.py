@@ -27,6 +27,7 @@ cable, so they pass through the converter as real ones would; `stuck` acts behin
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable
 
 import attrs
@@ -216,7 +217,7 @@ def _number(line: str, key: str, text: str) -> float:
 
 
 def _scans(seconds: float, rate_hz: int) -> int:
-    return math.ceil(seconds * rate_hz - 1e-6)
+    return math.ceil(min(seconds * rate_hz, sys.float_info.max) - 1e-6)
 
 
 _STREAM = 2  # first number of the spawn key of every fault's generator

@@ -313,8 +313,8 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
     """Return the entries from the last `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there are no entries, or an entry is missing, also before the last `start` or `reset`; the message
-            has the number of the missing entry.
+        ConfigError: there are no entries, the first is no `start` or `reset`, or an entry is missing, also before the
+            last `start` or `reset`; the message has the number of the missing entry.
     """
     found: list[JournalEntry] = []
     for entry in entries:
@@ -324,6 +324,10 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
             raise ConfigError(
                 f"the journal of inputs (`rig/journal`) is incomplete: entry {len(found)}, counted from 0, is missing "
                 f"(found {entry.sequence} instead)"
+            )
+        if not found and entry.kind not in BEGINNINGS:
+            raise ConfigError(
+                f"the journal of inputs (`rig/journal`) must begin with a start or reset, got {entry.kind.value}"
             )
         found.append(entry)
     if not found:

@@ -165,10 +165,13 @@ def gaps(key: str, value: object) -> tuple[float, ...]:
     Raises:
         ConfigError: a gap is not > 0 and <= 1 m, or the list is invalid. At 0 m both barriers would touch the sphere.
     """
-    return tuple(
+    found = tuple(
         NO_SPHERE if item in ("none", None) else number(f"{key}[{i}]", item, 0.0, 1.0)
         for i, item in enumerate(values(key, value))
     )
+    if found.count(NO_SPHERE) > 1:
+        raise ConfigError(f"{key} must not repeat a value, got 'none' and null, which both mean without the sphere")
+    return found
 
 
 def scalars(key: str, value: object) -> tuple[Value, ...]:

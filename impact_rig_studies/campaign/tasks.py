@@ -152,8 +152,12 @@ class TaskStore(Generic[T]):
             why = "it holds the result of another task"
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            why = f"no entry {error}" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
+        except KeyError as error:
+            why = f"no entry {error}"
+        except (TypeError, OverflowError, RecursionError):
+            why = "its JSON is not that of a result"
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or str(error)
         message = f"{path}, a stored result, is damaged, changed or unreadable: {' '.join(why.split())[:200]}"
         if message not in self.damaged:
             self.damaged.append(message)

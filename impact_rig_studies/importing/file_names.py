@@ -16,6 +16,8 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
+from operator import itemgetter
 
 _NUMBER = r"(?<![\d.,])(\d{1,9}(?:[.,pP]\d{1,9})?)"
 _FREQUENCY = re.compile(rf"(?<!\d-){_NUMBER}[\s_-]?([kK]?)[hH][zZ](?![a-z])")
@@ -26,6 +28,7 @@ _RATE_WORD = (
 _OF_RATE = re.compile(rf"{_RATE_WORD}[\s_=:@.-]{{0,3}}$", re.IGNORECASE)
 # atomic, as in `9Hz sampled at 1kHz` the word includes `at`
 _IS_RATE = re.compile(rf"[\s_-]{{0,3}}(?>{_RATE_WORD})(?![a-z]|[\s_=:@.-]{{0,3}}\d)", re.IGNORECASE)
+_BETWEEN = re.compile(rf"[\s_-]{{0,3}}{_RATE_WORD}[\s_=:@.-]{{0,3}}", re.IGNORECASE)
 _LENGTH = re.compile(rf"{_NUMBER}[\s_-]?([mM][mM]|[µu]m)(?![a-z])")
 _GAP_WORD = r"(?:gap|spalt|clearance|spiel)"
 _OF_GAP = re.compile(rf"{_GAP_WORD}[\s_=:-]{{0,3}}$", re.IGNORECASE)
@@ -40,14 +43,19 @@ def frequency_hz(stem: str) -> float | None:
     """Return the frequency [Hz] in a file name such as `messung_9,1Hz`, `sweep_8p5Hz`, `9.1 hz` or `1kHz`.
 
     It is None if the name has no frequency above 0, or several that differ. A frequency next to a word such as `fs`,
-    `rate` or `sampling`, as in `fs_1000Hz` or `64kHz_sampling`, does not count, because it is a sampling rate.
+    `rate` or `sampling`, as in `fs_1000Hz` or `64kHz_sampling`, does not count, because it is a sampling rate. If the
+    word stands between two frequencies, the higher one is the sampling rate.
     """
-    found = (
-        one
-        for one in _FREQUENCY.finditer(stem)
+    found = [(one, _number(one[1]) * (1e3 if one[2] else 1.0)) for one in _FREQUENCY.finditer(stem)]
+    neighbours = [pair for pair in pairwise(found) if _BETWEEN.fullmatch(stem[pair[0][0].end() : pair[1][0].start()])]
+    higher = {max(pair, key=itemgetter(1)) for pair in neighbours}
+    lower = {one for pair in neighbours for one in pair} - higher
+    counted = (
+        (one, hz)
+        for one, hz in found
         if not _OF_RATE.search(stem[: one.start()]) and not _IS_RATE.match(stem[one.end() :])
     )
-    return _only({_number(one[1]) * (1e3 if one[2] else 1.0) for one in found} - {0.0})
+    return _only({hz for _, hz in {*counted, *lower} - higher} - {0.0})
 
 
 def gap_m(stem: str) -> float | None:

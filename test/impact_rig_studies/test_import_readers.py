@@ -994,7 +994,7 @@ def test_dates_that_contradict_each_other_are_left_out_with_the_order_in_which_t
         )),
         *((stem, 9.0, None) for stem in (
             "9Hz_fs1000Hz", "9Hz_fs1000", "9 Hz sampled at 1 kHz", "9Hz_fsweep", "sample_9Hz", "9Hz_sample_3",
-            "moderate_9Hz", "9Hz_sampling_freq_1000Hz",
+            "moderate_9Hz", "9Hz_sampling_freq_1000Hz", "1000Hz_sampling_9Hz", "9Hz_sampling_1kHz", "2kHz_fs_9Hz",
         )),
     ],
 )  # fmt: skip

@@ -254,6 +254,11 @@ def test_an_invalid_planned_fault_is_rejected_by_name(line, message):
         from_flat(RigConfig(), {"instruments.faults.planned": [line]})
 
 
+def test_a_time_whose_number_of_scans_overflows_is_rejected():
+    with pytest.raises(ConfigError, match=r"start_sample of the fault stuck must be at most 2\*\*53"):
+        Fault.from_line("stuck channel=laser start_s=1e308", 10_000)
+
+
 def test_the_values_of_a_planned_fault_are_parsed():
     fault = Fault.from_line("spike_train channel=base start_s=1 duration_s=2 value=-3e-4 seed=5 rate_hz=7", 500)
     assert attrs.astuple(fault) == ("spike_train", "base", 500, 1000, -3e-4, 5, 7.0)

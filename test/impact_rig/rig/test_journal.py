@@ -94,6 +94,8 @@ def test_a_journal_with_a_missing_entry_is_rejected() -> None:
         last_journal([*journal[:3], *journal[4:]])
     with pytest.raises(ConfigError, match="has no entry"):
         last_journal([])
+    with pytest.raises(ConfigError, match="must begin with a start or reset, got parameter"):
+        last_journal([JournalEntry(0, InputKind.PARAMETER, 0, 0), *journal[1:]])
 
 
 def test_an_entry_stores_every_kind_of_value_exactly() -> None:

@@ -99,6 +99,7 @@ def test_the_reference_is_the_first_rig_of_the_first_study(write):
         (study(frequencies_hz="[9.1, 500]"), "studies.s.frequencies_hz must be >= 5 and <= 200 Hz, got 500"),
         (study(frequencies_hz="[1, true]"), "studies.s.frequencies_hz[1] must be a number, got True"),
         (study(frequencies_hz="[9.1, 9.1]"), "must not repeat a value, got 9.1 twice"),
+        (study(frequencies_hz="9.1", gaps_m="[none, null]"), "must not repeat a value, got 'none' and null"),
         (study(frequencies_hz="{from: 9, to: 8, step: 1}"), "frequencies_hz.to must be >= from = 9, got 8"),
         (study(frequencies_hz="{from: 9, to: 10}"), "must have from, to and step; missing: step"),
         (study(frequencies_hz="9.1", gaps_m="[0.0]"), "studies.s.gaps_m[0] must be > 0 and <= 1, got 0.0"),

@@ -239,6 +239,11 @@ def test_a_damaged_line_or_one_of_other_code_is_measured_again(small, tmp_path):
         store = run.store(tmp_path)
         assert store.get(line) is None
         assert re.search(f"a stored value must be a finite number, null or text, got {shown}", store.damaged[0])
+    for other in ([], {**good, "rows": 3}, {**good, "rows": [3]}):
+        (tmp_path / "lines" / name).write_text(json.dumps(other))
+        store = run.store(tmp_path)
+        assert store.get(line) is None
+        assert store.damaged[0].endswith("is damaged, changed or unreadable: its JSON is not that of a result")
     (tmp_path / "lines" / name).write_text(json.dumps(good))
     assert run.store(tmp_path).get(line) == measure_line(line)
 
