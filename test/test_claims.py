@@ -192,6 +192,7 @@ def amplitudes_at_10_mm() -> str:
 COMPUTED = [(claim, evidence.strip("`")) for _, claim, evidence in CLAIMS if evidence.strip("`").isidentifier()]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("claim", "name"), COMPUTED)
 def test_each_claim_agrees_with_the_code(claim: str, name: str) -> None:
     assert any(text in claim for text in globals()[name]().split("|")) or globals()[name]().lower() in claim.lower()

@@ -253,6 +253,7 @@ def test_shell_blocks_have_valid_syntax(block):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "python"], ids=by_place)
 def test_python_blocks_run(block, monkeypatch, tmp_path):
     """A session (`>>>`) prints what the page shows; other code runs to its end."""
@@ -265,6 +266,7 @@ def test_python_blocks_run(block, monkeypatch, tmp_path):
     exec(compile(block.content, by_place(block), "exec"), {})
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", impact_rig.__all__)
 def test_examples_in_docstrings_of_public_names_run(name, monkeypatch, tmp_path):
     """They print what they show, and every name has one except a few."""
@@ -280,11 +282,13 @@ def test_examples_in_docstrings_of_public_names_run(name, monkeypatch, tmp_path)
     assert doctest.DocTestRunner().run(example).failed == 0
 
 
+@pytest.mark.heavy
 def test_the_example_of_the_package_runs():
     assert doctest.testmod(impact_rig).attempted >= 5
     assert doctest.testmod(impact_rig).failed == 0
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)
 def test_yaml_blocks_are_accepted(block, tmp_path):
     file = tmp_path / "mine.yaml"
@@ -341,6 +345,7 @@ def test_every_dotted_name_on_a_page_can_be_imported():
     assert [(page, name) for page, name in found if not is_in_python(name)] == []
 
 
+@pytest.mark.heavy
 def test_functions_that_accept_a_path_accept_a_string_too():
     """It holds for all public names, and for those that the Python of the pages imports, with their methods."""
     pytest.importorskip("rclpy")
@@ -394,6 +399,7 @@ def test_the_reductions_on_the_page_of_the_paper_agree_with_their_sources():
     assert rig == [round(float(row[2]), 1) for row in DEMO_ROW.findall(table)]
 
 
+@pytest.mark.heavy
 def test_removing_the_sphere_takes_as_long_as_the_first_measurement_states():
     """It is about ten seconds of rig time."""
     text = (ROOT / "docs" / "tutorials" / "first_measurement.md").read_text(encoding="utf-8")

@@ -180,6 +180,7 @@ def test_instructions_to_build_kernels_name_the_version_of_numba():
         assert not re.search(r"pip install .*\bnumba(?!==)", text), name
 
 
+@pytest.mark.heavy
 def test_each_class_has_a_unique_name():
     """If `Motion`, `State` or `Plan` named several classes, a reader could not tell which one a sentence means."""
     trees = (ast.parse(path.read_text(encoding="utf-8")) for path in ROOT.glob("impact_rig*/**/*.py"))

@@ -50,7 +50,7 @@ def test_a_class_begins_with_a_noun_phrase_and_a_function_with_an_imperative(che
 )
 def test_a_property_begins_with_a_noun_phrase_or_with_return(line, count):
     tree = ast.parse(f'@property\ndef one(self):\n    """{line}"""')
-    assert len(list(prose_lint.of_docstrings("x.py", tree, heads=True))) == count
+    assert len(list(prose_lint.of_docstrings("x.py", list(ast.walk(tree)), heads=True))) == count
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_no_docstring_of_a_test_or_an_attribute_begins_with_a_question(template,
 )
 def test_an_option_has_a_help_text_that_is_a_noun_phrase(option, count):
     tree = ast.parse(f'parser.add_argument("--frames"{option})')
-    assert len(list(prose_lint.of_help("x.py", tree))) == count
+    assert len(list(prose_lint.of_help("x.py", list(ast.walk(tree))))) == count
 
 
 def test_phrases_are_found_in_comments_messages_and_docstrings_but_not_in_code():

@@ -38,7 +38,7 @@ import statistics
 import subprocess
 import sys
 import tokenize
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import attrs
@@ -158,9 +158,22 @@ def is_imperative(line: str) -> bool:
     return first != "return" or second not in {"what", "who", "where"}
 
 
-def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.Expr]]:
+LOOKED_AT = (
+    ast.Module,
+    ast.ClassDef,
+    ast.FunctionDef,
+    ast.AsyncFunctionDef,
+    ast.Expr,
+    ast.JoinedStr,
+    ast.Constant,
+    ast.Call,
+)
+"""Kinds of syntax that the checks below look at: one pass over the tree finds them for all."""
+
+
+def docstrings(nodes: Sequence[ast.AST]) -> Iterator[tuple[ast.AST, ast.Expr]]:
     """Yield each docstring with its module, class, function or assignment."""
-    for node in ast.walk(tree):
+    for node in nodes:
         body = node.body if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) else []
         for subject, one in zip([node, *body], body, strict=False):
             documented = subject is node or isinstance(subject, ast.Assign | ast.AnnAssign)
@@ -168,9 +181,9 @@ def docstrings(tree: ast.Module) -> Iterator[tuple[ast.AST, ast.Expr]]:
                 yield subject, one
 
 
-def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Finding]:
+def of_docstrings(file: str, nodes: Sequence[ast.AST], *, heads: bool) -> Iterator[Finding]:
     """Yield the findings about the docstrings of a module."""
-    for subject, node in docstrings(tree):
+    for subject, node in docstrings(nodes):
         text = inspect.cleandoc(str(ast.literal_eval(node.value)))
         first = text.split("\n", maxsplit=1)[0]
         decorators = " ".join(ast.unparse(one) for one in getattr(subject, "decorator_list", ()))
@@ -186,10 +199,10 @@ def of_docstrings(file: str, tree: ast.Module, *, heads: bool) -> Iterator[Findi
             yield from of_sentence(file, node.lineno, sentence)
 
 
-def of_strings(file: str, tree: ast.Module) -> Iterator[Finding]:
+def of_strings(file: str, nodes: Sequence[ast.AST]) -> Iterator[Finding]:
     """Yield the rejected phrases of messages, help texts and labels: all strings of several words."""
     inner: set[ast.AST] = set()  # docstrings, and the parts of f-strings
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.JoinedStr):
             inner.update(node.values)
             text = "".join(str(part.value) if isinstance(part, ast.Constant) else "·" for part in node.values)
@@ -204,9 +217,9 @@ def of_strings(file: str, tree: ast.Module) -> Iterator[Finding]:
             yield from of_phrases(file, node.lineno, text)
 
 
-def of_help(file: str, tree: ast.Module) -> Iterator[Finding]:
+def of_help(file: str, nodes: Sequence[ast.AST]) -> Iterator[Finding]:
     """Yield the options of command lines without a help text or with one that is no noun phrase or instruction."""
-    for node in ast.walk(tree):
+    for node in nodes:
         name = node.func.attr if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) else ""
         if not isinstance(node, ast.Call) or name not in {"add_argument", "add_parser"}:
             continue
@@ -227,6 +240,8 @@ def of_help(file: str, tree: ast.Module) -> Iterator[Finding]:
 
 def of_comments(file: str, source: str) -> Iterator[Finding]:
     """Yield the rejected phrases and the history in comments."""
+    if not (PHRASE.search(source) or PAST.search(source)):
+        return  # reading a file's tokens takes ten times as long
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield from of_phrases(file, token.start[0], token.string)
@@ -234,25 +249,26 @@ def of_comments(file: str, source: str) -> Iterator[Finding]:
                 yield Finding(file, token.start[0], "history", token.string[max(0, hit.start() - 30) : hit.end() + 30])
 
 
-def of_names(file: str, tree: ast.Module) -> Iterator[Finding]:
+def of_names(file: str, tree: ast.Module, nodes: Sequence[ast.AST]) -> Iterator[Finding]:
     """Yield the functions, classes and constants of a module with a rejected name."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.name in NAMES:
             yield Finding(file, node.lineno, "name", node.name)
     for statement in tree.body:
-        for node in statement.targets if isinstance(statement, ast.Assign) else ():
-            if isinstance(node, ast.Name) and node.id in NAMES:
-                yield Finding(file, node.lineno, "name", node.id)
+        for target in statement.targets if isinstance(statement, ast.Assign) else ():
+            if isinstance(target, ast.Name) and target.id in NAMES:
+                yield Finding(file, target.lineno, "name", target.id)
 
 
 def of_python(file: str, source: str) -> Iterator[Finding]:
     """Yield the findings of a Python file; tests and examples may begin a docstring with a sentence."""
     tree = ast.parse(source)
-    yield from of_docstrings(file, tree, heads=not file.startswith(("test/", "examples/")))
-    yield from of_strings(file, tree)
-    yield from of_help(file, tree)
+    nodes = [node for node in ast.walk(tree) if isinstance(node, LOOKED_AT)]
+    yield from of_docstrings(file, nodes, heads=not file.startswith(("test/", "examples/")))
+    yield from of_strings(file, nodes)
+    yield from of_help(file, nodes)
     yield from of_comments(file, source)
-    yield from of_names(file, tree)
+    yield from of_names(file, tree, nodes)
 
 
 # --- Pages ------------------------------------------------------------------------------------------------------------

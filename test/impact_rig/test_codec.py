@@ -65,6 +65,7 @@ def assert_same(left, right):
     assert left.rows.tobytes() == right.rows.tobytes()
 
 
+@pytest.mark.heavy
 @given(tables())
 def test_any_table_is_decoded_as_encoded(table):
     assert_same(decode(encode(table)), table)
@@ -272,6 +273,7 @@ def test_every_truncated_message_is_rejected(name):
             decode(data[:length])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["IMPACTS", "FAULTS"])
 def test_a_flipped_bit_never_crashes_the_decoder(name):
     """A flipped bit in the data or a name gives another table; any other flip is rejected."""
@@ -294,6 +296,7 @@ def test_changed_bytes_never_crash_the_decoder(table, data):
     _decode_or_refuse(bytes(raw[: data.draw(st.integers(0, len(raw)))]))
 
 
+@pytest.mark.heavy
 @settings(max_examples=500)
 @given(st.binary(max_size=300))
 def test_random_bytes_never_crash_the_decoder(raw):

@@ -65,6 +65,7 @@ def test_flattening_a_configuration_is_reversible():
     assert config.from_flat(RigConfig(), config.to_flat(RigConfig())) == RigConfig()
 
 
+@pytest.mark.heavy
 @given(gap=st.floats(1e-4, 0.05), law=st.sampled_from(tuple(LAWS)), peers=st.lists(st.sampled_from("abc")))
 def test_a_dumped_configuration_loads_unchanged(gap, law, peers, tmp_path_factory):
     changed = config.from_flat(RigConfig(), {"barriers.gap_m": gap, "contact.law": law, "time.peers": peers})
@@ -257,6 +258,7 @@ def test_choices_of_a_field_are_strings_in_yaml(name):
         assert yaml.safe_load(word) == word
 
 
+@pytest.mark.heavy
 @given(st.sampled_from(sorted(FIELDS)), anything)
 def test_no_invalid_value_passes_the_validator(name, value):
     """An accepted value has the field's type, is finite and in range; every other one is rejected with a message."""

@@ -33,6 +33,7 @@ from impact_rig.states import AnalysisWord
 DRIVEN = {"drive.frequency_hz": 9.1, "drive.amplitude": 0.52}
 
 
+@pytest.mark.heavy
 def test_dt_without_sphere_is_the_closed_form_within_its_uncertainty():
     record = simulate(30.0, {**DRIVEN, "sphere.present": False})
     value, u = record.transmissibility
@@ -40,6 +41,7 @@ def test_dt_without_sphere_is_the_closed_form_within_its_uncertainty():
     assert str(record) == f"DT {value:.2f} ± {2 * u:.2f} (2u) at 9.1 Hz"
 
 
+@pytest.mark.heavy
 def test_a_small_dt_is_printed_with_its_uncertainty():
     """Above the resonance DT is near 0.1, and ± 0.00 would mean that it is exact."""
     record = simulate(20.0, {"drive.frequency_hz": 30.0, "drive.amplitude": 0.52})

@@ -71,6 +71,7 @@ def test_the_lab_shows_a_run_at_once(sample: Path, open_page: Callable[..., Page
         page.js("lab.link.socket.onclose = null")
 
 
+@pytest.mark.heavy
 def test_the_sample_contains_the_settings_of_the_analysis(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = {path.name: path.stat().st_mtime_ns for path in sample.iterdir()}
     assert make_sample(sample) == sample

@@ -182,6 +182,7 @@ def test_a_client_that_keeps_sending_invalid_messages_is_disconnected(server: Se
     assert loops.run(talk()) == 1008
 
 
+@pytest.mark.heavy
 def test_a_stalled_page_receives_two_pictures_and_an_active_one_all(server: Server, source: FakeSource) -> None:
     """The third picture waits until the first is drawn; the state, which is small, is still sent."""
 
@@ -284,6 +285,7 @@ def talk_to(server: Server, data: bytes) -> bytes:
     return found
 
 
+@pytest.mark.heavy
 def test_an_endless_request_is_closed_and_no_request_prints_output(
     server: Server, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

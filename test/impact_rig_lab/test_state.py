@@ -420,6 +420,7 @@ def test_each_reader_of_a_ring_gets_the_rows_that_are_new_to_it() -> None:
     assert len(motion.states.since(0, 10_000)) == 4096
 
 
+@pytest.mark.heavy
 def test_journal_and_curve_follow_the_messages_and_the_closed_form() -> None:
     journal, curve = RigHistory(), Curve()
     for topic, table in messages(12):

@@ -44,6 +44,7 @@ def of(gap_mm: float, amplitude: float = CURRENT_A, **changed: object) -> dict[s
     return predicted({**DEFAULT, "barriers.gap_m": gap_mm * 1e-3, **names}, amplitude)
 
 
+@pytest.mark.heavy
 def test_the_line_is_the_prediction_for_the_present_settings() -> None:
     found = of(20.0)
     assert [lasts for lasts, _ in found["lines"]] == [True]
@@ -153,6 +154,7 @@ COLOURED = """(want => {
 """The share of each predicted line that is drawn in its colour."""
 
 
+@pytest.mark.heavy
 def test_continued_motions_are_drawn_where_they_exist(tmp_path: Path) -> None:
     """Four impacts per cycle at 6 mm exist on an island between two folds, one of which is passed here."""
     study, out = tmp_path / "study.yaml", tmp_path / "out"

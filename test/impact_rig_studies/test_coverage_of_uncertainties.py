@@ -73,6 +73,7 @@ def test_small_signals_are_covered_by_their_uncertainty_or_rejected(base_um, bit
         assert np.mean(np.abs(off) <= 2.0) >= 0.75, (name, off)
 
 
+@pytest.mark.heavy
 def test_a_sphere_that_drifts_for_twenty_seconds_is_not_called_at_rest():
     """At 18 mm and 10.85 Hz, it leaves a wall at less than 1 mm/s: a wait of 16 s would miss its next impact."""
     config = PLACES["configuration"](18.0)

@@ -44,6 +44,7 @@ def measured(parameters: dict[str, object]) -> tuple[NDArray[np.void], LocalRig]
     return np.array([[row for row in rows if row["settled"]][-1]]), rig
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("gap_m", [0.004, 0.006])
 def test_the_loss_factor_agrees_with_the_energy_lost_in_impacts(gap_m: float) -> None:
     without, _ = measured({"sphere.present": False})

@@ -37,6 +37,7 @@ def decay(seconds=20.0, rate_hz=500.0, *, f_n=F_N, zeta=ZETA, amplitude=5e-3, ph
     return offset + drift * time + amplitude * np.exp(-zeta * omega * time) * oscillation
 
 
+@pytest.mark.heavy
 @METHODS
 @settings(max_examples=15)
 @given(f_n=st.floats(4.0, 40.0), zeta=st.floats(1e-3, 0.03), phase=st.floats(-3.0, 3.0), amplitude=st.floats(1e-9, 1.0))
@@ -59,6 +60,7 @@ def test_a_rate_with_too_few_samples_per_cycle_yields_no_fit(method, rate_hz):
     assert found.status is (Status.NO_FIT if rate_hz < 46.0 else Status.OK)
 
 
+@pytest.mark.heavy
 @METHODS
 def test_a_decay_with_a_locked_base_meets_the_acceptance_limits(method):
     """f_n within 0.02 % and ζ within 2 %, with laser steps of 8 µm, 3 µm of noise, 10 kS/s and 5 mm."""
@@ -205,6 +207,7 @@ def test_a_drop_test_yields_the_closed_form(h0, e, u):
     assert found.u_restitution == pytest.approx(e / 2 * np.hypot(u / h0, u / (e**2 * h0)), rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("drops", [1, 10])
 def test_the_uncertainty_of_a_drop_test_covers_the_truth(drops):
     """1500 tests of e = 0.35 from 0.2 m, with different readings of the heights to 0.5 mm."""

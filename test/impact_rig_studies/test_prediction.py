@@ -107,6 +107,7 @@ def test_a_torus_ends_the_motion_before_its_fold(gap_mm, kind):
     assert abs(one.multipliers[0]) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("number", [2, 4, 6, 9])
 def test_the_multipliers_of_the_model_agree_with_the_prediction(number):
     found = judged(60, number)
@@ -149,6 +150,7 @@ def test_the_superior_base_lags_a_quarter_cycle_on_the_backbone(nominal):
     assert np.abs(again.theta - line.theta[200]).min() < 1e-9
 
 
+@pytest.mark.heavy
 def test_the_ends_of_branches_and_the_best_damping_are_predicted(nominal):
     for frequency, low, high in ((8.8, 27e-3, 28e-3), (9.1, 30e-3, 32e-3), (9.4, 26e-3, 28e-3)):
         branch = prediction.branch(nominal, frequency, current_a=CURRENT_A)
@@ -172,6 +174,7 @@ def test_the_simulated_mechanics_agree_with_the_prediction(nominal, frequency_hz
     assert found.impact_speed_m_s[0] == pytest.approx(speed, rel=3e-3)
 
 
+@pytest.mark.heavy
 def test_the_deviation_at_the_fold_falls_as_the_rig_grows_heavier():
     """A rig with ten times the mass and the force is the same linear rig; m/m_1 is a tenth."""
     nominal, plain, recoiling = RigConfig(), [], []

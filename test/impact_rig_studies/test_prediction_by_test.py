@@ -42,6 +42,7 @@ def test_motions_with_two_symmetric_impacts_agree_with_the_prediction(frequency_
     assert math.degrees(found.predicted_phase_rad - found.phase_rad) == pytest.approx(0.0, abs=WITHIN_DEGREES)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("frequency_hz", "gap_mm"), [(8.8, 28.0), (9.4, 28.0), (9.1, 32.0)])
 def test_no_motion_with_two_impacts_is_found_where_none_is_predicted(frequency_hz, gap_mm):
     found = by_test(frequency_hz, gap_mm * 1e-3)

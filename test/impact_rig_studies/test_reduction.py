@@ -85,6 +85,7 @@ def test_errors_of_the_sensitivities_cancel_in_a_reduction():
     assert rougher.u_points == pytest.approx(clean.u_points, rel=1e-9)
 
 
+@pytest.mark.heavy
 def test_repetitions_reduce_only_the_contribution_of_noise():
     calibration = certificate(laser_linearity_m=300e-6)
     one, many = (

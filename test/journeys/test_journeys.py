@@ -91,6 +91,7 @@ def shown_code() -> dict[str, list[str]]:
     return shown
 
 
+@pytest.mark.heavy
 def test_python_needs_no_more_than_its_page_installs() -> None:
     """The notebook, for example, must not need rosbags, which only the part for tests installs."""
     owners = packages_distributions()

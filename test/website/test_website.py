@@ -25,6 +25,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+pytestmark = pytest.mark.heavy  # it builds the site
 PAGES = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
@@ -119,6 +120,7 @@ def test_the_page_of_the_api_has_inherited_methods_default_values_and_links(site
     assert '<a href="#impact_rig.RosRig"><code>RosRig</code></a>' in text
 
 
+@pytest.mark.heavy
 def test_a_broken_link_fails_the_build(mkdocs, tmp_path):
     """The configuration is the real one, with one page that has one bad link."""
     from mkdocs.commands.build import build as build_site

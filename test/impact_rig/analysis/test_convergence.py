@@ -69,6 +69,7 @@ def some_motion(rng, n):
     return rows, strikes
 
 
+@pytest.mark.heavy
 def test_the_settled_period_agrees_with_its_definition():
     rng, found, n, longest = np.random.default_rng(1), [], 24, 6
     for _ in range(3000):

@@ -67,6 +67,7 @@ def test_the_closed_form_of_the_normal_matrix_equals_the_sum(phase, step, sample
     assert np.allclose(found, design.T @ design, rtol=0, atol=1e-9 * samples)
 
 
+@pytest.mark.heavy
 @settings(max_examples=20)
 @given(cuts=st.lists(st.integers(1, 19_999), max_size=30, unique=True), frequency_hz=st.floats(5.0, 200.0))
 def test_results_do_not_depend_on_the_division_into_blocks(cuts, frequency_hz):

@@ -35,6 +35,7 @@ def png(figure):
     return stream.getvalue()
 
 
+@pytest.mark.heavy
 def test_curves_show_every_valid_row_with_its_uncertainty():
     rows = np.zeros(4, TRANSMISSIBILITY)
     rows["frequency"], rows["transmissibility"] = (9.1, 8.0, 10.0, 9.0), (110.0, 4.4, np.nan, 40.0)
@@ -50,6 +51,7 @@ def test_curves_show_every_valid_row_with_its_uncertainty():
     assert png(figure).startswith(b"\x89PNG")
 
 
+@pytest.mark.heavy
 def test_traces_mark_the_impacts():
     rows = steady_record(9.1, 0.5, noise=0)
     figure = drawings.time_traces(rows, np.array([0.1, 0.2]))
@@ -64,6 +66,7 @@ def test_traces_mark_the_impacts():
     assert [len(axis.lines) for axis in drawings.time_traces(rows).axes] == [1, 1, 1]
 
 
+@pytest.mark.heavy
 def test_a_phase_plane_with_few_samples_is_smoothed_over_all_of_them():
     """100 scans at 50 kS/s are shorter than a fortieth of a cycle of 9.1 Hz."""
     x = 1e-3 * np.sin(2 * np.pi * 9.1 * np.arange(100) / 50_000)

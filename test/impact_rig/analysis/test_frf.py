@@ -69,6 +69,7 @@ def test_estimators_agree_with_pyfrf(estimator):
     assert np.allclose(found[100:140], expected[100:140], rtol=5e-4)  # 50 to 70 Hz, the resonance
 
 
+@pytest.mark.heavy
 def test_estimates_are_ordered_h1_hv_h2_when_both_channels_are_noisy():
     """With noise on both channels, |H1| is too small, |H2| too large, and Hv with the right κ nearest to the truth."""
     x, y, (b, a) = records(0.5, 0.05, n=400_000)
@@ -81,6 +82,7 @@ def test_estimates_are_ordered_h1_hv_h2_when_both_channels_are_noisy():
     assert np.abs(hv / truth - 1).mean() < 0.03 < np.abs(h1 / truth - 1).mean()
 
 
+@pytest.mark.heavy
 def test_the_stated_uncertainty_is_the_scatter_of_repeated_records():
     repeats = [frf(*records(0.0, 0.5, n=20_000, seed=s)[:2], RATE, 1000) for s in range(60)]
     band = (repeats[0].frequency_hz > 20) & (repeats[0].frequency_hz < 150)
@@ -100,6 +102,7 @@ def linear_rig(base, rate_hz, info, zeta=0.02):
     return rows
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("waveform", ["chirp", "random"])
 def test_a_sweep_recovers_the_transmissibility(waveform):
     """Periodic chirps and random records give the closed form: lag and skew are corrected, the phase is negative."""
@@ -136,6 +139,7 @@ def dip(base, rate, zeta):
     return np.fft.irfft(np.fft.rfft(base) / linear_transmissibility(np.maximum(frequency, 0.1), zeta=zeta), len(base))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("zeta", [0.0045, 0.02])
 @pytest.mark.parametrize("shaker", [False, True], ids=["prescribed", "current"])
 def test_segments_are_long_enough_to_resolve_the_resonance(zeta, shaker):
@@ -172,6 +176,7 @@ def test_a_record_too_short_for_its_resonance_is_marked_and_a_given_damping_is_u
     assert asked.bias <= RESOLVED * 1.05
 
 
+@pytest.mark.heavy
 def test_a_periodic_excitation_leaks_nothing_through_a_rectangular_window():
     info = info_rows(200)
     rows = linear_rig(np.tile(band_limited(20, 6.0, 12.0), 30), 200, info, 0.0045)

@@ -70,6 +70,7 @@ def noise(channel, rms):
     return spoil
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("spoil", "status", "channel"),
     [
@@ -115,6 +116,7 @@ def test_a_fault_during_a_measurement_is_named_and_no_wrong_row_looks_good(spoil
         assert all(np.isnan(row["current_amplitude"]) for row in named)
 
 
+@pytest.mark.heavy
 def test_an_absent_current_is_nan_and_a_restored_current_is_reported_again():
     """Otherwise, a closed loop that controls the current would raise it to its limit."""
     rows = record(seconds=30.0)
@@ -125,6 +127,7 @@ def test_an_absent_current_is_nan_and_a_restored_current_is_reported_again():
     assert np.isfinite(later[-1]["current_amplitude"])
 
 
+@pytest.mark.heavy
 def test_a_gain_that_returns_to_normal_is_trusted_again():
     rows = record(seconds=45.0)
     rows["base"][FAULT_AT : FAULT_AT + 8 * RATE] *= 1.05
@@ -133,6 +136,7 @@ def test_a_gain_that_returns_to_normal_is_trusted_again():
     assert found[-1] == "ok"
 
 
+@pytest.mark.heavy
 def test_a_channel_of_pure_noise_is_not_called_miswired():
     """With x_1 of 0.6 µm and noise of 3 µm, any phase is possible: the channel must not be called inverted."""
     rng, words = np.random.default_rng(4), set()
@@ -142,6 +146,7 @@ def test_a_channel_of_pure_noise_is_not_called_miswired():
     assert words.isdisjoint({Status.INVERTED_CHANNEL, Status.SWAPPED_CHANNELS}), words
 
 
+@pytest.mark.heavy
 def test_a_lightly_damped_structure_is_not_called_miswired():
     """With ζ = 1e-5, x_1 is opposite to x_b to within noise of 0.6°, so it leads in half of the draws."""
     rng, leads = np.random.default_rng(4), 0

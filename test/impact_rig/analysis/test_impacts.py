@@ -70,6 +70,7 @@ def test_impacts_are_timed_correctly_at_the_rates_of_the_fastest_boards(rate_hz)
     assert np.abs(errors).max() < 10e-6 * rate_hz
 
 
+@pytest.mark.heavy
 def test_default_instruments_at_50_ks_find_the_impacts_above_0_02_m_s():
     """Acceptance figures: ≥ 99 % found, ≤ 1 % false, timing within one scan; here for 600 impacts from 0.02 m/s on."""
     times, speeds, signs = drawn_impacts(600, 12.0, seed=2)
@@ -83,6 +84,7 @@ def test_default_instruments_at_50_ks_find_the_impacts_above_0_02_m_s():
     assert np.array_equal(found["sign"][taken], signs[np.isfinite(errors)])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("rate_hz", "share", "false_share", "worst_scans"), [(25_600, 0.99, 0.02, 2.0), (10_000, 0.85, 0.03, 5.0)]
 )
@@ -141,6 +143,7 @@ def test_an_accelerometer_exchanged_during_a_run_is_used_with_its_own_calibratio
     assert exchanged._state[2] == 100.0**2
 
 
+@pytest.mark.heavy
 def test_results_do_not_depend_on_the_division_into_blocks():
     times, speeds, signs = drawn_impacts(100, 2.0, seed=5)
     acceleration = background(2.0, FAST)

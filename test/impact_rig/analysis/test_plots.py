@@ -50,6 +50,7 @@ def blocks() -> list[Block]:
     return rig.advance(8 * NS_PER_S)
 
 
+@pytest.mark.heavy
 def test_the_envelope_of_pulses_shows_every_impact_above_5_n_and_nothing_else(blocks: list[Block]) -> None:
     high_pass, intervals = HighPass(RATE, "accelerometer"), Intervals(RATE)
     found = [interval for block in blocks for interval in intervals.feed(high_pass.feed(block.scan))]

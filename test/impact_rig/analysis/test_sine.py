@@ -30,6 +30,7 @@ def sine(n, rate_hz, frequency_hz, amplitude, phase, offset=0.0):
     return offset + amplitude * np.cos(2 * np.pi * frequency_hz * np.arange(n) / rate_hz + phase)
 
 
+@pytest.mark.heavy
 @settings(max_examples=40)
 @given(
     frequency_hz=st.floats(3.0, 400.0),

@@ -53,6 +53,7 @@ def test_variance_of_the_mean_includes_correlation():
     assert 0.75 * 4 / 500 < np.mean(estimates) < 1.05 * 4 / 500
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("coefficient", "batches"), [(0.0, 4), (0.9, 4), (0.9, 6)])
 def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches):
     """Coverage of ±2u is 95.45 %, although batches of 32 cycles are only 1.7 correlation times long."""
@@ -64,6 +65,7 @@ def test_batch_means_cover_the_mean_of_a_correlated_series(coefficient, batches)
     assert 0.93 < np.mean(np.array(off) < 2.0) < 0.98
 
 
+@pytest.mark.heavy
 def test_the_variance_of_correlated_batches_is_corrected():
     """The scatter of batches as long as the correlation is too small; 2V_b − V_2b corrects most of the error."""
     rng = np.random.default_rng(5)
@@ -133,6 +135,7 @@ def repeats(deviation, strikes, limit, period):
     return scatter / (len(deviation) - period) <= limit, regular >= REGULAR_SHARE * int(strikes.sum())
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("n", [24, 25, 400])
 def test_the_shortest_period_agrees_with_its_definition(n):
     """The impacts of some cycles are missing or scattered, and the scatter is near its limit."""

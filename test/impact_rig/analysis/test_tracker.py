@@ -65,6 +65,7 @@ def transient_ratio(frequency_hz, tau_s):
     return lambda t: truth * (1 - np.exp((-1 / tau_s + 1j * beat) * t))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("frequency_hz", "tau_s"), [(9.1, 0.34), (9.1, 3.9), (9.0, 3.9), (10.0, 0.34), (8.5, 3.9)])
 def test_the_wait_for_a_transient_is_no_longer_than_needed(frequency_hz, tau_s):
     """The bias of settled means is below 5e-4. The wait is as long as this requires, not a fixed time."""
@@ -98,6 +99,7 @@ def test_the_first_row_after_a_change_is_as_accurate_as_later_rows(frequency_hz,
     assert np.all(np.abs(np.mean(off, axis=0)) < 3.3 / np.sqrt(len(off))), np.mean(off, axis=0)
 
 
+@pytest.mark.heavy
 def test_a_response_that_never_settles_is_reported_at_the_time_limit():
     """A response with a growing drift never settles: at the time limit it is reported with numbers, and settled = 0."""
     truth = linear_transmissibility(9.1)
@@ -111,6 +113,7 @@ def test_a_response_that_never_settles_is_reported_at_the_time_limit():
     assert 10.0 <= first["waited"] < 11.0
 
 
+@pytest.mark.heavy
 def test_discarded_windows_do_not_count_as_waiting_time():
     """If a channel is over range for longer than the limit, the next 8 windows must not be reported as they are."""
     truth = linear_transmissibility(9.1)
@@ -130,6 +133,7 @@ def struck_twice_a_cycle(rows, frequency_hz, seconds):
     add_impacts(rows["accelerometer"], RATE, times, np.full(count, 0.3), np.tile([1, -1], count // 2 + 1)[:count])
 
 
+@pytest.mark.heavy
 def test_fluctuation_without_impacts_is_not_called_modulation():
     """A linear rig is neither modulated nor chaotic, although its first rows fluctuate if the base moves little."""
     truth = linear_transmissibility(9.2)
@@ -137,6 +141,7 @@ def test_fluctuation_without_impacts_is_not_called_modulation():
     assert not feed_all(tracker(9.2), blocks(rows, RATE, 20))[0]
 
 
+@pytest.mark.heavy
 def test_a_modulated_response_is_labelled_and_averaged_for_longer():
     truth = linear_transmissibility(9.2)
     rows = record(9.2, 30.0, transient=lambda t: truth * (1 + 0.03 * np.cos(2.7 * t)))
@@ -148,6 +153,7 @@ def test_a_modulated_response_is_labelled_and_averaged_for_longer():
     assert abs(row["transmissibility"] - abs(truth)) < 3 * row["transmissibility_uncertainty"]
 
 
+@pytest.mark.heavy
 def test_impacts_per_cycle_are_counted_by_the_accelerometer():
     rows = record(9.1, 7.0, rate_hz=50_000)
     times = (np.arange(2 * 62) + 0.3) / (2 * 9.1)
@@ -282,6 +288,7 @@ def struck(rows, times_s, rate_hz=RATE):
     return rows
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("gap_m", "strikes", "first_s", "age_s"),
     [
@@ -384,6 +391,7 @@ def test_progress_never_exceeds_its_total_and_mentions_a_wait_for_the_sphere():
     assert {progress.reason for _, progress, word in seen if word != "settling"} == {""}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("window_s", [0.5, 2.0])
 def test_progress_mentions_no_wait_for_a_sphere_that_strikes_regularly(window_s):
     """Impacts since the last finished window count, too: nothing is awaited however long a window is."""

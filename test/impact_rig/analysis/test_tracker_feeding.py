@@ -61,6 +61,7 @@ def test_results_do_not_depend_on_any_division_into_blocks(seed):
     assert fingerprint(*run_scenario(sizes)[:2]) == usual()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("late_ns", [10_000_000, 40_000_000])
 def test_a_command_that_arrives_late_changes_no_result(late_ns):
     """Topics overtake each other; scans wait for 50 ms of rig time before they are used."""
@@ -112,6 +113,7 @@ def test_blocks_of_an_earlier_record_are_not_measured_with_the_calibration():
     assert found[0] == found[1]
 
 
+@pytest.mark.heavy
 def test_blocks_that_wait_for_a_calibration_need_bounded_memory():
     """A publisher may send any stamps: repeated, in the past, or a nanosecond apart."""
     made, table = Tracker(QUICK), next(blocks(record(seconds=0.1), RATE, 1))
@@ -135,6 +137,7 @@ def test_a_label_and_a_command_of_one_instant_may_arrive_in_either_order():
     assert reasons == {"label_changed"}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("late_ns", [0, 40_000_000])
 def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
     """The detector uses the lag of the accelerometer that is calibrated for these scans, not the lag at the start."""
@@ -162,6 +165,7 @@ def test_impacts_are_timed_by_the_calibration_of_their_scans(late_ns):
     assert "ok" in statuses(changed[0])
 
 
+@pytest.mark.heavy
 def test_a_command_that_arrives_too_late_is_counted():
     made = run_scenario(20, late_ns=200_000_000)[2]
     assert made.counters.late_events == 1
@@ -181,6 +185,7 @@ def test_the_first_command_discards_no_impact(size):
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
+@pytest.mark.heavy
 def test_a_window_contains_the_impacts_just_before_its_end():
     """At 200 kS/s, an impact is known 30 scans later, so the window must stay open for longer than 16 scans."""
     rate_hz, frequency_hz = 200_000, 97.0
@@ -195,6 +200,7 @@ def test_a_window_contains_the_impacts_just_before_its_end():
     assert max(ages) < 10 / rate_hz
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("start_ns", [1_763_700_000_123_456_789, -5_000_000_000])
 def test_the_time_base_only_shifts_the_stamps(start_ns):
     here, there = run_scenario(20)[0], run_scenario(20, start_ns=start_ns)[0]

@@ -27,6 +27,7 @@ from impact_rig.blocks import Table
 from impact_rig.simtime import NS_PER_S, stamp_ns
 
 
+@pytest.mark.heavy
 def test_every_interruption_is_named_and_excluded_from_the_mean():
     measurements, impacts, made = run_scenario(20)
     assert statuses(measurements) == [
@@ -178,6 +179,7 @@ def test_a_late_announcement_of_a_reset_loses_no_scan(late):
     assert made.counters.late_events == (late > 5)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", [RATE, 2 * RATE])
 def test_a_calibration_that_overtakes_the_scans_of_a_reset_acts_from_its_stamp(rate_hz):
     """A reset that changes the rate is one reset, not two."""
@@ -199,6 +201,7 @@ def test_a_calibration_that_overtakes_the_scans_of_a_reset_acts_from_its_stamp(r
     assert fingerprint(found[0], ()) == fingerprint(found[1], ())
 
 
+@pytest.mark.heavy
 def test_a_new_calibration_after_months_is_not_taken_for_a_reset():
     """After months, the seconds since scan 0 are rounded by more than a nanosecond; scan 0 is still the same."""
     first = 200 * 86_400 * RATE
@@ -215,6 +218,7 @@ def test_a_new_calibration_after_months_is_not_taken_for_a_reset():
     assert made.counters.restarts == 0
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("kind", ["label", "calibration", "current"])
 def test_every_change_starts_a_new_measurement(kind):
     rows = record(seconds=16.0)

@@ -99,6 +99,7 @@ def test_an_error_of_the_clock_does_not_affect_the_ratio():
     assert found.laser_m == pytest.approx(BASE_M * abs(linear_transmissibility(true_hz)), rel=1e-3)
 
 
+@pytest.mark.heavy
 @settings(max_examples=25)
 @given(
     ratio=st.floats(0.05, 150.0),
@@ -163,6 +164,7 @@ def test_the_stated_uncertainty_covers_the_truth(gain_u, noise, colour, lag_u):
     assert_covers(_deviations(gain_u, noise, colour, 300, lag_u=lag_u))
 
 
+@pytest.mark.heavy
 def test_a_modulated_response_is_measured_from_batches_and_labelled():
     """A slow modulation of 5 % is labelled with its spread; the uncertainty is far above that of the noise."""
     rng = np.random.default_rng(3)

@@ -39,6 +39,7 @@ def test_the_filter_is_the_butterworth_of_scipy(low, high):
     np.testing.assert_allclose(response / response[3], expected / expected[3], rtol=1e-9)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("low", "high"), BANDS)
 def test_filtered_white_noise_of_unit_rms_has_unit_rms(low, high):
     impulse = np.zeros(400_000)

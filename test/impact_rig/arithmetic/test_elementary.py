@@ -54,6 +54,7 @@ def angles():
     return np.concatenate([spread(-1.0, 1.0), spread(-100.0, 100.0), spread(-BIG, BIG), near])
 
 
+@pytest.mark.heavy
 def test_sine_and_cosine_are_accurate():
     assert worst(lambda x: elementary.sincos(x)[0], mpmath.sin, angles()) < ULP
     assert worst(lambda x: elementary.sincos(x)[1], mpmath.cos, angles()) < ULP
@@ -63,6 +64,7 @@ def test_sine_and_cosine_of_zero_are_exact():
     assert elementary.sincos(0.0) == (0.0, 1.0)
 
 
+@pytest.mark.heavy
 def test_the_exponential_is_accurate():
     assert worst(elementary.exp, mpmath.exp, np.concatenate([spread(-1.0, 1.0), spread(-700.0, 700.0)])) < ULP
 
@@ -74,6 +76,7 @@ def test_the_exponential_is_correct_at_the_ends_of_its_range():
     assert math.isnan(elementary.exp(math.nan))
 
 
+@pytest.mark.heavy
 def test_the_logarithm_is_accurate():
     decades = 10.0 ** spread(-300.0, 300.0)
     assert worst(elementary.log, mpmath.log, np.concatenate([decades, spread(0.5, 2.0), [5e-324]])) < ULP
@@ -89,6 +92,7 @@ def test_powers_are_accurate(y):
     assert elementary.power(0.0, y) == 0.0
 
 
+@pytest.mark.heavy
 def test_the_modulus_is_exact():
     assert elementary.modulus(3.0 - 4.0j) == 5.0
     for a, b in zip(spread(-1e3, 1e3), spread(-1.0, 1.0), strict=True):

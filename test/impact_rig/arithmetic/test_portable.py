@@ -138,6 +138,7 @@ def sources() -> Iterator[tuple[str, ast.AST]]:
             yield from ((name, node) for node in ast.walk(tree) if is_kernel(node))
 
 
+@pytest.mark.heavy
 def test_no_computation_of_a_sample_depends_on_the_machine() -> None:
     found, used = [], set()
     for name, tree in sources():

@@ -121,6 +121,7 @@ def test_an_unknown_command_is_answered_with_help(
     assert answer in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_tables_of_measurements_fit_80_columns_without_cuts_or_nan(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,6 +138,7 @@ def test_tables_of_measurements_fit_80_columns_without_cuts_or_nan(
     assert re.search(r"^ +9\.100 .*command_changed", capsys.readouterr().out, flags=re.MULTILINE)
 
 
+@pytest.mark.heavy
 def test_json_contains_the_numbers_of_the_table(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["analyze", str(run)]) == 0
     shown = capsys.readouterr().out

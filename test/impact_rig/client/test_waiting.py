@@ -43,6 +43,7 @@ class Worker:
         time.sleep(self._works_s or timeout_sec)
 
 
+@pytest.mark.heavy
 def test_the_work_of_a_hosted_node_does_not_shorten_the_timeout() -> None:
     pytest.importorskip("rclpy", reason="no ROS 2 here")
     from impact_rig.client.client import Spinner

@@ -106,6 +106,7 @@ def rejected(expected: DAQmxErrors) -> Iterator[None]:
     assert raised.value.error_type is expected
 
 
+@pytest.mark.heavy
 def test_a_finite_input_reads_all_channels(task: MakeTask) -> None:
     found = np.array(inputs(task(), "Dev1/ai0:3", 500, finite=True).read(-1))
     assert found.shape == (4, 500)
@@ -118,6 +119,7 @@ def read_all(ai: Any, most: int) -> int:
     return int(ai._interpreter.read_analog_f64(ai._handle, -1, 10.0, FillMode.GROUP_BY_CHANNEL.value, values)[1])
 
 
+@pytest.mark.heavy
 def test_a_finite_input_can_be_read_in_parts(task: MakeTask) -> None:
     ai = inputs(task(), samples=500, finite=True)
     assert len(ai.read(200)) == 200
@@ -126,6 +128,7 @@ def test_a_finite_input_can_be_read_in_parts(task: MakeTask) -> None:
         ai.read(1)
 
 
+@pytest.mark.heavy
 def test_an_output_is_repeated_and_triggers_an_input(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task())
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
@@ -139,6 +142,7 @@ def test_an_output_is_repeated_and_triggers_an_input(task: MakeTask) -> None:
     assert ao.timing.samp_clk_rate == RATE_HZ
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("count", [5, 20, 30, RATE_HZ])
 def test_a_finite_input_with_a_trigger_within_a_block_is_complete(task: MakeTask, count: int) -> None:
     ai, ao = inputs(task(), samples=count, finite=True), output(task())
@@ -150,6 +154,7 @@ def test_a_finite_input_with_a_trigger_within_a_block_is_complete(task: MakeTask
     np.testing.assert_allclose(ai.read(count), WAVE[:count], atol=1e-9)
 
 
+@pytest.mark.heavy
 def test_a_repeated_output_is_overwritten_from_its_beginning(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task(), 400)
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
@@ -162,6 +167,7 @@ def test_a_repeated_output_is_overwritten_from_its_beginning(task: MakeTask) -> 
     assert any(np.abs(np.array(ai.read(400)) - expected).max() < 1e-9 for _ in range(20))
 
 
+@pytest.mark.heavy
 def test_an_output_can_be_written_while_an_input_is_read(task: MakeTask) -> None:
     ai, ao = inputs(task()), output(task(), 1000, repeat=False)
     ao.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
@@ -177,6 +183,7 @@ def test_an_output_can_be_written_while_an_input_is_read(task: MakeTask) -> None
     assert np.abs(np.concatenate(parts) - np.concatenate([WAVE[:1000], samples])[:3000]).max() < 1e-9
 
 
+@pytest.mark.heavy
 def test_a_finite_output_ends_after_its_samples(task: MakeTask) -> None:
     ao = output(task(), 400, finite=True)
     done = threading.Event()
@@ -189,6 +196,7 @@ def test_a_finite_output_ends_after_its_samples(task: MakeTask) -> None:
     ao.stop()
 
 
+@pytest.mark.heavy
 def test_events_report_samples_that_a_reader_then_reads(task: MakeTask) -> None:
     ai = inputs(task(), "Dev1/ai1, Dev1/ai2")
     parts: list[np.ndarray] = []
@@ -228,6 +236,7 @@ def test_waveforms_have_their_time_channel_and_unit(task: MakeTask) -> None:
     assert not ai.read_waveform(10)[0].timing.has_timestamp
 
 
+@pytest.mark.heavy
 def test_a_waveform_is_played(task: MakeTask) -> None:
     ai, ao = inputs(task(), finite=True), output(task())
     ai.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ao/StartTrigger")
@@ -277,6 +286,7 @@ def test_single_values_are_written_and_read_on_demand(task: MakeTask) -> None:
     ao.stop()
 
 
+@pytest.mark.heavy
 def test_acceleration_is_scaled_by_the_sensitivity_that_the_script_states(task: MakeTask) -> None:
     ao, volts, accel = task(), task(), task()
     ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
@@ -307,6 +317,7 @@ def test_a_slow_reader_gets_the_error_of_overwritten_samples(task: MakeTask) -> 
         fall_behind(ai)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("ask", ["write", "is_task_done", "wait_until_done", "stop"])
 def test_an_output_without_samples_gets_the_error_of_an_underrun(task: MakeTask, ask: str) -> None:
     ao = output(task(), 400, repeat=False)
@@ -379,6 +390,7 @@ def test_buffers_and_ranges_of_the_other_kind_of_task_are_rejected(task: MakeTas
     assert (ai.in_stream.input_buf_size, ao.out_stream.output_buf_size) == before
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", [1e9, 250_001.0, 99.0, 0.0, -5.0, float("nan"), float("inf")])
 def test_an_invalid_rate_is_rejected(task: MakeTask, rate_hz: float) -> None:
     ai = inputs(task())
@@ -481,12 +493,14 @@ def test_a_task_with_another_rate_than_the_running_rig_is_rejected() -> None:
     assert rig.closed
 
 
+@pytest.mark.heavy
 def test_a_message_beyond_the_size_limit_is_rejected(task: MakeTask) -> None:
     ao = output(task())
     with pytest.raises(nidaqmx.errors.RpcError, match="larger than max"):
         ao.write(np.zeros(MOST_MESSAGE_BYTES // 8 + 1000))
 
 
+@pytest.mark.heavy
 def test_the_number_of_events_is_bounded(task: MakeTask) -> None:
     for _ in range(MOST_EVENTS):
         inputs(task()).register_done_event(lambda *_: 0)

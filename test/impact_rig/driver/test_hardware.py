@@ -231,6 +231,7 @@ def test_a_second_start_plays_after_the_samples_of_the_first() -> None:
         output.stop()
 
 
+@pytest.mark.heavy
 def test_an_output_without_an_input_keeps_no_scans() -> None:
     rig = LocalRig(STREAM)
     output = AnalogOutput(rig, buffer_s=0.2)

@@ -45,6 +45,7 @@ def test_a_command_acts_at_the_requested_sample() -> None:
     assert rig.rows("shaker/applied")["sample"].tolist() == [0, 3000]
 
 
+@pytest.mark.heavy
 def test_a_rejected_block_of_the_stream_is_not_recorded(tmp_path: Path) -> None:
     with LocalRig({**LINEAR, "drive.waveform": "stream"}, record=tmp_path / "run") as rig:
         rig.feed(0, np.full(3000, 0.1))

@@ -113,6 +113,7 @@ def test_a_stream_is_played_and_recorded_and_ends_with_its_samples(start: Start)
     assert np.abs(found["current"][:1500]).max() > 0.25
 
 
+@pytest.mark.heavy
 def test_every_driver_provides_analysis_and_recording(start: Start, tmp_path: Path) -> None:
     rig = start({**LINEAR, "drive.amplitude": 0.4}, analysis={"gap_m": 0.0}, record=tmp_path / "run")
     rig.run(seconds=12.0)

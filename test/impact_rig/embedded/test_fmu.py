@@ -262,6 +262,7 @@ def motions_of(native: Native, tick: int) -> dict[int, list[float]]:
     return at
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("hold", ["zero_order", "first_order"])
 @pytest.mark.parametrize(
     ("rate_hz", "seconds", "version"), [(1000, 1.0, "2.0"), (10_000, 0.5, "3.0"), (777, 1.0, "3.0")]

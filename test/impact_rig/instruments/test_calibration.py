@@ -53,6 +53,7 @@ def curve(sensor, errors, values):
     return (volts - channel["offset"]) / channel["gain"] - values
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("index", "shift"), [(1, 0.0), (2, 0.0), (1, 0.4)])
 def test_the_linearity_error_is_within_its_limit_and_adds_no_gain_or_zero(index, shift):
     sensor = sensors(configured(laser__resolution_m=0))[index]
@@ -72,6 +73,7 @@ def test_the_linearity_error_is_within_its_limit_and_adds_no_gain_or_zero(index,
     assert largest > 0.9 * sensor.linearity  # the specification is used, not only kept
 
 
+@pytest.mark.heavy
 def test_errors_spread_over_their_whole_tolerances():
     rng = Random(6)
     drawn = np.array([[e.gain, e.offset, e.c_2, e.c_3] for e in (calibration.draw_channel(rng) for _ in range(20_000))])

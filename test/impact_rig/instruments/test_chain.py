@@ -70,6 +70,7 @@ FAULTS = (
 )
 
 
+@pytest.mark.heavy
 @settings(max_examples=12)
 @given(data=st.data(), rate_hz=st.sampled_from([100, 777, 12_345, 25_600, 50_000]))
 def test_readings_do_not_depend_on_how_calls_divide_the_motion(data, rate_hz):

@@ -31,6 +31,7 @@ def dense(start_s: float, end_s: float) -> np.ndarray:
     return np.arange(round((end_s - start_s) / 40e-9)) * 40e-9 + start_s
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", RATES)
 @pytest.mark.parametrize(
     ("start_s", "duration_s"),
@@ -52,6 +53,7 @@ def test_a_pulse_agrees_with_the_convolution_of_the_force(rate_hz, start_s, dura
     assert np.max(np.abs(error)) < OF_PEAK * np.max(np.abs(expected))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_pulses_of_the_simulated_rig_agree_with_its_true_acceleration(rate_hz):
     config = configured(rate_hz, exact=True)

@@ -29,6 +29,7 @@ def sines(frequency_hz):
     return AnalyticMotion(**{QUANTITIES[name]: sine(frequency_hz, AMPLITUDES[name], 0.3) for name in CHANNELS})
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("anti_alias", ["none", "butterworth"])
 @pytest.mark.parametrize(("rate_hz", "frequency_hz"), [(10_000, 9.1), (50_000, 200.0), (10_000, 200.0), (777, 50.0)])
 def test_the_frequency_response_of_a_channel_is_its_transfer_function(rate_hz, frequency_hz, anti_alias):
@@ -42,6 +43,7 @@ def test_the_frequency_response_of_a_channel_is_its_transfer_function(rate_hz, f
         assert abs(amplitude / expected - 1) < 3e-5, sensor.name
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", [10_000, 50_000, 250_000, 12_345])
 def test_the_skew_can_be_measured_with_a_sine(rate_hz):
     config = configured(rate_hz, exact=True)

@@ -56,6 +56,7 @@ def transmissibility(config: RigConfig, rtol: float) -> tuple[float, float]:
     return float(np.mean(ratios)), float(np.std(ratios, ddof=1) / math.sqrt(BATCHES))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("gap", GAPS_M)
 def test_tighter_tolerances_do_not_change_the_transmissibility(gap):
     config = rig(barriers={"gap_m": gap})
@@ -66,6 +67,7 @@ def test_tighter_tolerances_do_not_change_the_transmissibility(gap):
     assert abs(plain - tight) <= max(3.0 * math.hypot(plain_error, tight_error), REPEATABLE * plain)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("gap", [2e-3, 6e-3])
 def test_the_least_approach_speed_does_not_change_the_transmissibility(gap):
     """Contacts slower than 1 mm/s are the tail of a chatter, or none."""
@@ -115,6 +117,7 @@ def contact_by_equal_steps(model: Model, speed: float, length: float, steps: int
     return np.array([s.w, s.speed])
 
 
+@pytest.mark.heavy
 def test_a_contact_is_integrated_at_the_order_of_its_method():
     """The kink of δ^1.5 at the touch does not lower the order, 2 · 5 − 1 of Radau IIA: steps are in sqrt(δ)."""
     model, speed = build(benchmark_rig()), 0.3

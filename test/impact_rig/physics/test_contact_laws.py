@@ -70,6 +70,7 @@ def test_a_law_states_formula_and_source_and_has_only_fields_of_its_section(law)
     assert {attribute.name for attribute in attrs.fields(law)} <= names, "a law's fields are those of the section"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("e", RESTITUTIONS)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_contact_has_the_restitution_that_its_law_predicts(law, e):
@@ -197,6 +198,7 @@ def test_an_instantaneous_contact_takes_no_time_and_conserves_momentum():
     assert got.energy_lost == pytest.approx(0.5 * mass * 0.25 * (1.0 - 0.35**2), rel=1e-14)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "restitution"])
 def test_contact_forces_never_pull_and_integrate_to_impulse_and_loss(law, e):
@@ -227,6 +229,7 @@ def test_the_energy_lost_follows_from_the_speeds(law, e):
     assert got.impulse == pytest.approx(mass * (got.approach_speed + got.separation_speed), rel=1e-8)
 
 
+@pytest.mark.heavy
 @given(st.floats(0.0, 1e4))
 def test_the_realised_restitution_solves_its_equation(factor):
     e = hunt_crossley.realised(factor)
@@ -237,6 +240,7 @@ def test_the_realised_restitution_solves_its_equation(factor):
         assert e == pytest.approx(1.0 - 2.0 * factor / 3.0, abs=max(factor**2, 1e-15))  # no closer than doubles are
 
 
+@pytest.mark.heavy
 @given(st.floats(1e-4, 1.0))
 def test_damping_factor_and_restitution_are_inverse_functions(e):
     assert hunt_crossley.realised(hunt_crossley.factor_returning(e)) == pytest.approx(e, rel=1e-9)

@@ -58,6 +58,7 @@ def run(config: RigConfig, per_call: int, rate_hz: float = 0.0) -> tuple[bytes, 
     return np.concatenate(impacts).tobytes(), np.concatenate(middles)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", CONFIGS)
 def test_impacts_and_samples_do_not_depend_on_the_division_into_segments(name):
     impacts, samples = run(CONFIGS[name], SEGMENTS)
@@ -68,12 +69,14 @@ def test_impacts_and_samples_do_not_depend_on_the_division_into_segments(name):
         assert samples_again.tobytes() == samples.tobytes(), f"samples differ when advanced by {per_call} segments"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("rate_hz", [1e3, 10e3, 50e3])
 def test_impacts_do_not_depend_on_the_sampling_rate(rate_hz):
     name = "flores 1 mm, resting"
     assert run(CONFIGS[name], 10, rate_hz)[0] == run(CONFIGS[name], SEGMENTS)[0]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", CONFIGS)
 def test_a_sample_does_not_depend_on_the_other_samples(name):
     motion = Simulation(CONFIGS[name]).advance(drive()[:120])

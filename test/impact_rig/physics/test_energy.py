@@ -52,6 +52,7 @@ def assert_closed(energy: EnergyAccount, tolerance: float = TOLERANCE) -> None:
     )
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("gap", GAPS_M)
 def test_the_energy_balance_closes_over_a_thousand_cycles_at_constant_current(gap):
     energy, _ = account(rig(barriers={"gap_m": gap}), 0.52, 1000)

@@ -78,6 +78,7 @@ def test_a_drive_is_continuous_except_where_a_chirp_restarts(waveform):
     assert np.abs(start[1:] - end[:-1]).max() <= 1e-12
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("waveform", ["sine", "chirp", "random"])
 @given(
     st.lists(
@@ -152,6 +153,7 @@ def test_a_chirp_is_continuous_when_the_clock_starts_to_drift():
     assert made.segments(1)["omega"][0] - before == pytest.approx(2.0 * math.pi * 10.0 / 6000, rel=1e-6)
 
 
+@pytest.mark.heavy
 def test_noise_is_reproducible_and_has_the_given_band_and_level():
     band = {"waveform": "random", "random_low_hz": 5.0, "random_high_hz": 15.0}
     level = generator(**band).segments(200_000)["amplitude"]

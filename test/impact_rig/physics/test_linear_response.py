@@ -198,6 +198,7 @@ def test_a_centred_sphere_in_a_wide_gap_never_touches_a_wall():
     assert len(motion.impacts) == 0
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("kind", ["prescribed", "current", "voltage"])
 def test_a_ramped_drive_agrees_with_another_integrator(kind):
     """(A + B t) sin(ωt + φ) at rest: no closed form in textbooks, so SciPy's order 8 is the judge."""

@@ -105,6 +105,7 @@ def samples(motion: Motion, count: int = 20000) -> np.ndarray:
     return motion.sample(where, when)
 
 
+@pytest.mark.heavy
 def test_forces_obey_newton_and_the_walls(case):
     config, motion = case
     rows = samples(motion)
@@ -119,6 +120,7 @@ def test_forces_obey_newton_and_the_walls(case):
     assert (rows["force_right"] * rows["force_left"] == 0.0).all()
 
 
+@pytest.mark.heavy
 def test_columns_and_contact_accelerate_the_structure(case):
     config, motion = case
     rows = samples(motion)
@@ -206,6 +208,7 @@ def test_a_full_log_at_a_touch_on_the_start_of_a_tick_changes_nothing():
     assert np.abs(ample["x_2"][:50] - 0.3 * offset[:50]).max() <= 1e-15
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("changes", "left_out"),
     [

@@ -98,6 +98,7 @@ def test_the_linear_rig_follows_the_exact_solution_for_a_minute(rate_hz, hold):
         assert wrong < 1e-9, f"{name}: {wrong:.1e}"
 
 
+@pytest.mark.heavy
 def test_impacts_under_noise_agree_with_an_independent_integration():
     """The reference is DOP853 with events at 1e-11 from sample to sample, and the contact force of the paper.
 

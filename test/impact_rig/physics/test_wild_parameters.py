@@ -188,6 +188,7 @@ def test_a_rig_that_cannot_be_resolved_is_rejected_at_the_start(values, rule):
         Rig(from_flat(RigConfig(), values))
 
 
+@pytest.mark.heavy
 def test_random_valid_configurations_conserve_energy():
     """A slice of what `qualification/legal_configurations.py` tries, numbers of its first seed."""
     ends = Counter()
@@ -199,6 +200,7 @@ def test_random_valid_configurations_conserve_energy():
     assert ends[legal_configurations.OK] >= 12
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("found", FOUND, ids=lambda found: found["story"])
 def test_extreme_rigs_run_and_conserve_energy(found):
     sections = {"shaker": {}} | found["rig"]

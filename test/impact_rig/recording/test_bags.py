@@ -378,6 +378,7 @@ def test_a_bag_compressed_as_a_file_is_rejected_with_a_command_that_converts_it(
     assert sorted(content(bag)) == sorted(content(native)), "metadata.yaml still lists the packed file"
 
 
+@pytest.mark.heavy
 def test_files_are_read_in_the_order_of_metadata_yaml(record, tmp_path):
     with record(max_file_bytes=30_000, chunk_bytes=10_000) as writer:
         fill(writer, 60)

@@ -58,6 +58,7 @@ def blocks(info):
     return re.findall(rf"^```{info}\n(.*?)^```$", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("notes", [["gap 2 mm"], []], ids=["notes", "no notes"])
 def test_the_notebook_guide_finds_the_transmissibility(notes, record, capsys):
     """With a base of 1 mm and a structure of 3.2 mm at 9.1 Hz, the guide must find 3.2."""
@@ -86,6 +87,7 @@ def test_the_notebook_guide_finds_the_transmissibility(notes, record, capsys):
     assert "DT at 9.10 Hz: 3.20" in capsys.readouterr().out
 
 
+@pytest.mark.heavy
 def test_the_recording_and_reading_examples_run(record, tmp_path, monkeypatch, capsys):
     with record("runs/sweep_2mm") as writer:
         writer.add_topic(SCAN_TOPIC)

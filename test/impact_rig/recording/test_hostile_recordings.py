@@ -93,6 +93,7 @@ def test_every_command_handles_a_recording_with_false_times_and_names(
         assert cost.peak_mb <= TOOL["MEMORY_LIMIT_MB"]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("what", REFUSED)
 def test_a_rejection_names_the_limit_and_how_to_raise_it(tmp_path: Path, what: str) -> None:
     path = RECORDINGS[what](tmp_path)

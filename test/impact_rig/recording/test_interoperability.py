@@ -76,6 +76,7 @@ def metadata(directory):
     return content["rosbag2_bagfile_information"]
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("bare_file", [False, True], ids=["directory", "file"])
 def test_rosbags_reads_every_topic(run, bare_file):
     writer, sent = run
@@ -140,6 +141,7 @@ def same_values(ours, theirs, store):
     return ours == theirs
 
 
+@pytest.mark.heavy
 def test_rosbags_and_mcap_ros2_decode_every_message_type_identically(tmp_path, every_type):
     store = get_typestore(Stores.ROS2_JAZZY)
     every_type.record(tmp_path / "run", store)

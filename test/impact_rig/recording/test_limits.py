@@ -106,6 +106,7 @@ def test_a_finished_recording_can_be_finished_again_but_not_written(record):
     writer.flush_due()
 
 
+@pytest.mark.heavy
 def test_a_file_is_split_by_size_and_each_part_is_readable_by_itself(record):
     with record(max_file_bytes=60_000, chunk_bytes=20_000) as writer:
         sent = fill(writer, 120)
@@ -158,6 +159,7 @@ def test_a_file_is_split_by_rig_time(record):
     assert list(itertools.chain(*per_file)) == stamps(writer.directory)
 
 
+@pytest.mark.heavy
 def test_many_parts_are_read_in_the_order_they_were_written(record):
     with record(max_file_duration_ns=1) as writer:
         sent = fill(writer, 12, topics=(SCAN_TOPIC,))
@@ -166,6 +168,7 @@ def test_many_parts_are_read_in_the_order_they_were_written(record):
         assert [m.sequence for m in run.messages(recorded_order=True)] == [s.sequence for s in sent]
 
 
+@pytest.mark.heavy
 def test_a_missing_part_is_named(record):
     with record(max_file_duration_ns=100_000_000) as writer:
         fill(writer, 50)

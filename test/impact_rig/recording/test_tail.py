@@ -178,6 +178,7 @@ def killed(record, tmp_path, scans, chunk_bytes):
     return writer, kept, sent
 
 
+@pytest.mark.heavy
 def test_a_chunk_cut_short_while_it_was_written_is_replaced_by_the_tail(record, tmp_path):
     """The process was killed while it wrote a chunk, or while it wrote the tail."""
     writer, kept, sent = killed(record, tmp_path, scans=20, chunk_bytes=10_000)
@@ -236,6 +237,7 @@ def flipped_tails(kept, whole):
             yield place, bytes(damaged)
 
 
+@pytest.mark.heavy
 def test_one_flipped_bit_in_the_tail_costs_at_most_one_of_its_chunks(record, tmp_path):
     """The other chunks can be read without the metadata of the tail, and without the definitions in its first chunk."""
     _, kept, sent = killed(record, tmp_path, scans=4, chunk_bytes=10**6)

@@ -40,6 +40,7 @@ def test_a_long_block_is_simulated_tick_by_tick() -> None:
     assert rig.frontier_ns == 25 * TICK
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("rate_hz", "block_scans"),
     [(100, 1), (333, 3), (997, 7), (997, 1), (1_000, 13), (8_192, 82), (10_000, 100), (44_100, 1_001), (49_999, 5_000)],
@@ -107,6 +108,7 @@ def test_a_change_that_is_reverted_before_the_next_tick_has_no_effect() -> None:
     assert same(block.monitor_states, expected.monitor_states)
 
 
+@pytest.mark.heavy
 def test_the_memory_of_the_rig_is_bounded() -> None:
     """The rig forgets blocks that it has returned: nothing in it grows with its running time."""
     rig = Rig(config(output__truth_scan=True))

@@ -51,6 +51,7 @@ def travel(blocks: list[Block]) -> np.ndarray:
     return np.concatenate([block.truth.rows["x_b"] for block in blocks])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("step", [1, 7, 200])
 def test_over_travel_trips_within_a_tick_for_any_division_into_calls(step: int) -> None:
     """5 A at 8 Hz drive the table far beyond 2 mm."""
@@ -237,6 +238,7 @@ def sequence(seed: int) -> None:
                 assert not driven(blocks, quantity).any(), f"seed {seed}, {rig.latched}"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("first", range(0, 140, 35))
 def test_the_drive_is_zero_half_a_second_after_a_stop_until_it_is_cleared(first: int) -> None:
     for seed in range(first, first + 35):

@@ -82,6 +82,7 @@ def test_the_order_and_size_of_sample_blocks_do_not_matter(reference, sent, step
     assert same(impacts(found), impacts(reference))
 
 
+@pytest.mark.heavy
 def test_the_scan_rate_does_not_move_an_impact(reference):
     found = played(in_blocks(100), daq__rate_hz=25_600)
     assert same(impacts(found), impacts(reference))
@@ -112,6 +113,7 @@ def test_missing_samples_ramp_to_zero_and_are_reported():
     assert rig.stream.missing == 2_500
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
 def test_the_end_of_a_stream_may_arrive_in_any_order(order):
     """The stream consists of two pieces with a pause, and their ends.
@@ -156,6 +158,7 @@ def test_the_reaction_to_an_underrun_can_be_configured():
     tripping.feed(6_000, [0.1])
 
 
+@pytest.mark.heavy
 def test_an_underrun_does_not_hide_a_trip_in_the_same_tick():
     """The row of that tick must report the over-travel, not only the underrun."""
     limits = {"drive__on_underrun": "trip", "shaker__travel_limit_m": 1e-3}
@@ -216,6 +219,7 @@ def test_a_stop_drops_buffered_samples_and_rejects_further_ones():
     assert rig.blocks_with_samples(7) == 7, "a stopped rig waits for no samples"
 
 
+@pytest.mark.heavy
 def test_the_interlock_covers_the_current_between_its_samples():
     """A current that is zero at every millisecond still has an rms of 7.4 A."""
     rig = stream_rig(shaker__current_limit_a_rms=6.0, sphere__present=False)
@@ -273,6 +277,7 @@ def eventful() -> tuple[Rig, list[Block], Blocks]:
     return rig, found + rig.advance(5 * NS_PER_S // 2), sent
 
 
+@pytest.mark.heavy
 def test_journal_and_samples_reproduce_the_run_bit_for_bit():
     rig, blocks, sent = eventful()
     journal = rig.take_journal()

@@ -26,6 +26,7 @@ from impact_rig.rig import Block, Rig
 from impact_rig.simtime import NS_PER_S
 
 
+@pytest.mark.heavy
 @given(st.lists(st.integers(1, 130_000_000), min_size=1, max_size=12))
 @settings(max_examples=5)
 def test_readings_do_not_depend_on_the_division_into_calls(reference: list[Block], steps: list[int]) -> None:
@@ -42,6 +43,7 @@ def test_readings_do_not_depend_on_the_division_into_calls(reference: list[Block
         assert one.scan.stamp_ns == other.scan.stamp_ns
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("block_scans", [1, 37, 250, 6000])
 def test_block_length_changes_no_scan_and_no_impact(reference: list[Block], block_scans: int) -> None:
     rig = Rig(config(daq__block_scans=block_scans))

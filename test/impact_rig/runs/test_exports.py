@@ -210,6 +210,7 @@ def test_rows_without_numbers_are_left_out_of_a_universal_file(tmp_path):
     assert (one["id1"], one["x"].tolist(), one["data"].tolist()) == ("dt", [0.0, 2.0, 3.0], [3.0, 5.0, 6.0])
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("rate_hz", "begin_s", "even"), [(5000, 0, 1), (5000, 3, 1), (3000, 0, 0), (5000, 12345.6788, 0)]
 )
@@ -279,6 +280,7 @@ def test_a_table_becomes_a_data_frame_with_the_columns_of_the_export(run, tmp_pa
     assert pandas.api.types.is_string_dtype(run.to_dataframe("texts")["key"])
 
 
+@pytest.mark.heavy
 def test_a_table_becomes_a_dataset_over_time_with_units(tmp_path):
     pytest.importorskip("xarray")
     with LocalRig(record=tmp_path / "run") as rig:

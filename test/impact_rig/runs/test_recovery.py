@@ -241,6 +241,7 @@ def test_many_flipped_bits_and_overwritten_parts_yield_no_wrong_message(tmp_path
     assert sum(back) > cases  # the test would prove nothing if every input were rejected
 
 
+@pytest.mark.heavy
 def test_a_chunk_after_damage_of_any_length_is_found(tmp_path, monkeypatch):
     """The chunk may lie across the edges of what is read at once."""
     monkeypatch.setattr(recovery, "_FIRST_WINDOW_BYTES", recovery._PATTERN_BYTES)
@@ -334,6 +335,7 @@ def test_a_damaged_metadata_yaml_does_not_prevent_recovery(record, tmp_path):
     assert lost in info(tmp_path / "out").verdict
 
 
+@pytest.mark.heavy
 def test_files_of_a_split_run_are_recovered_in_order_without_metadata_yaml(record, tmp_path):
     """Without metadata.yaml, the eleventh file must not come before the third."""
     with record(max_file_duration_ns=20_000_000) as writer:
@@ -445,6 +447,7 @@ def test_messages_outside_chunks_are_recovered_only_on_request(tmp_path):
     assert recover(tmp_path / "bag.mcap", tmp_path / "out", accept_unchecked=True).messages == 3
 
 
+@pytest.mark.heavy
 def test_a_message_outside_chunks_beyond_a_limit_is_one_damage(tmp_path):
     path, big = tmp_path / "bag.mcap", zstandard.ZstdCompressor().compress(bytes(30 * 2**20))
     broken = records.ZSTD_MAGIC + b"no frame"
@@ -559,6 +562,7 @@ def test_a_killed_writer_loses_less_than_a_second_at_any_instant(tmp_path, after
     kill_a_writer(tmp_path, after_s)
 
 
+@pytest.mark.heavy
 def test_the_number_of_recovered_topics_is_bounded(tmp_path, monkeypatch):
     """A small file can define very many topics; the limit is that for reading a run."""
     path = tmp_path / "many.mcap"

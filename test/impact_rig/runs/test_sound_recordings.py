@@ -88,6 +88,7 @@ def bag_of_everything(path: Path, **runs: Path) -> Path:
     return path
 
 
+@pytest.mark.heavy
 def test_a_recording_of_everything_is_verified(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 3}))
     rig.accept(frequency_hz=9.1, amplitude=0.52)
@@ -109,6 +110,7 @@ def test_a_recording_of_everything_is_verified(tmp_path: Path, capsys: pytest.Ca
     assert info(two).scans.whole
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("blocks", [60, 61, 64])
 def test_a_recording_over_a_restart_at_zero_is_verified(tmp_path: Path, blocks: int) -> None:
     """The last blocks of the first rig have no joint states; those of the second start at 0 again."""
@@ -123,6 +125,7 @@ def test_a_recording_over_a_restart_at_zero_is_verified(tmp_path: Path, blocks: 
     assert compared.count == joints
 
 
+@pytest.mark.heavy
 def test_a_recording_that_starts_during_a_session_spans_only_its_own_data(tmp_path: Path) -> None:
     values = {"daq.rate_hz": 200, "daq.block_scans": 20, "sphere.present": False, "daq.seed": 5}
     rig = Rig(from_flat(RigConfig(), values))
@@ -190,6 +193,7 @@ def test_a_reset_inside_a_block_does_not_count_as_a_gap(tmp_path: Path) -> None:
     assert lost.lost_blocks == 1, "a complete block missing before a reset is still reported"
 
 
+@pytest.mark.heavy
 def test_true_impacts_are_not_taken_for_detected_ones(tmp_path: Path) -> None:
     """Below 2 kS/s the analysis detects none, and publishes no `impacts`."""
     rig = Rig(from_flat(RigConfig(), {"daq.rate_hz": 1000, "daq.block_scans": 100, "daq.seed": 2}))
@@ -201,6 +205,7 @@ def test_true_impacts_are_not_taken_for_detected_ones(tmp_path: Path) -> None:
     assert any("impacts: not compared: it is not in this run" in str(one) for one in compared.others)
 
 
+@pytest.mark.heavy
 def test_an_analysis_some_long_blocks_behind_does_not_count_as_ended(tmp_path: Path) -> None:
     values = {"daq.rate_hz": 1000, "daq.block_scans": 500, "sphere.present": False}
     changes = {0: (9.1, 0.52), 30: (9.3, None), 60: (9.5, None), 65: (9.7, None)}
@@ -244,6 +249,7 @@ def test_a_missing_sample_that_the_rig_had_used_is_found(tmp_path: Path) -> None
     assert "sample 1000" in checked.reason
 
 
+@pytest.mark.heavy
 def test_messages_of_other_types_keep_their_stamps(tmp_path: Path) -> None:
     found = messages(2)
     with open_run(record(tmp_path / "run", found)) as run:
@@ -253,6 +259,7 @@ def test_messages_of_other_types_keep_their_stamps(tmp_path: Path) -> None:
         assert codec.header_stamp_ns(next(run.messages(["daq/info"])).data) == 0
 
 
+@pytest.mark.heavy
 def test_a_verdict_lists_unchecked_topics_and_includes_unindexed_messages(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -57,6 +57,7 @@ def off_by_one(rig):
     return losses.matches
 
 
+@pytest.mark.heavy
 def test_an_off_by_one_error_is_found_shrunk_and_repeated_by_three_lines(virtual_rig):
     begin = time.process_time()
     with pytest.raises(AssertionError) as failure:
@@ -73,6 +74,7 @@ def test_an_off_by_one_error_is_found_shrunk_and_repeated_by_three_lines(virtual
     exec(program, {"virtual_rig": virtual_rig, "off_by_one": sound})  # the bug is the consumer's
 
 
+@pytest.mark.heavy
 def test_a_correct_consumer_causes_no_failure(virtual_rig):
     search(virtual_rig, sound, QUICK, examples=40)
 

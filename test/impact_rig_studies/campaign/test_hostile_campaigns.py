@@ -183,6 +183,7 @@ def test_a_stored_trace_with_damaged_compression_is_measured_again(stored: tuple
     assert "a stored trace, is damaged, changed or unreadable: Error -3 while decompressing" in store.damaged[0]
 
 
+@pytest.mark.heavy
 def test_a_stored_trace_that_would_fill_the_memory_is_not_unpacked(stored: tuple[Store, Job, Path]) -> None:
     store, job, file = stored
     np.savez_compressed(file.with_suffix(".npz"), time=np.zeros(MAX_TRACE_BYTES // 8 + 1))
@@ -211,6 +212,7 @@ def test_numbers_too_large_to_represent_are_reported_in_one_short_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.heavy
 def test_a_report_does_not_write_through_a_link(
     stored: tuple[Store, Job, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -148,6 +148,7 @@ def test_the_campaign_of_the_paper_has_six_cases_at_ten_frequencies():
         campaign.only(("nothing",))
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["restitution", "mass", "amplitude"])
 def test_a_study_run_alone_keeps_the_reference_rig_of_its_campaign(name):
     """The first study run alone must not define another reference rig, such as one of light spheres."""

@@ -40,6 +40,7 @@ def rows_of(directory: Path, test: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.heavy
 def test_the_hold_command_keeps_the_base_amplitude(rig, tmp_path, capsys):
     out = tmp_path / "new" / "held"
     words = ["base", "60um", "--frequencies", "9.2", "--gap", "none", "--output", str(out)]
@@ -54,6 +55,7 @@ def test_the_hold_command_keeps_the_base_amplitude(rig, tmp_path, capsys):
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_the_sweep_command_measures_the_frequencies_in_the_given_direction(rig, tmp_path, capsys):
     out = tmp_path / "sweep"
     words = ["--frequencies", "9.2", "9", "--gap", "none", "--current", "100mA", "--direction", "down", "--json"]
@@ -74,6 +76,7 @@ def test_an_unwritable_output_is_rejected_before_any_measurement(rig, tmp_path, 
     assert "cannot write" in capsys.readouterr().err
 
 
+@pytest.mark.heavy
 def test_an_amplitude_that_was_not_reached_is_reported_and_fails_the_command(rig, tmp_path, capsys):
     assert main(["drive", "hold", "base", "1m", "--frequencies", "9", *rig, "--output", str(tmp_path / "run")]) == 1
     assert "9 Hz" in " ".join(capsys.readouterr().out.splitlines()[-3:])
@@ -89,6 +92,7 @@ def test_the_hold_command_over_topics_yields_the_same_bits(rig, tmp_path):
     assert (tmp_path / "ros/hold.csv").read_bytes() == (tmp_path / "process/hold.csv").read_bytes()
 
 
+@pytest.mark.heavy
 def test_the_lock_command_finds_the_resonance(rig, tmp_path, capsys):
     out = tmp_path / "lock"
     assert main(["drive", "lock", "--gap", "6mm", "--dwell", "3", "--output", str(out), *rig]) == 0
@@ -104,6 +108,7 @@ def test_a_dwell_too_short_for_an_uncertainty_yields_no_result(rig, tmp_path, ca
     assert not NO_NUMBER.search(printed.replace(str(tmp_path), ""))
 
 
+@pytest.mark.heavy
 def test_the_backbone_command_locks_at_every_current_up_and_down(rig, tmp_path, capsys):
     out = tmp_path / "backbone"
     words = ["--gap", "10mm", "--currents", "0.3", "0.4", "--output", str(out)]

@@ -136,6 +136,7 @@ def test_impossible_settings_are_rejected(values):
         attrs.evolve(HELD, **values)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(("what", "target"), [("base", 60e-6), ("superior", 3e-3)])
 def test_the_base_of_the_linear_rig_is_held_and_dt_is_the_closed_form(what, target):
     job = attrs.evolve(
@@ -149,6 +150,7 @@ def test_the_base_of_the_linear_rig_is_held_and_dt_is_the_closed_form(what, targ
         assert abs(row["transmissibility"] - wanted) <= 2.0 * row["transmissibility_uncertainty"], row
 
 
+@pytest.mark.heavy
 def test_a_held_base_yields_the_dt_of_a_prescribed_drive():
     """All gaps and frequencies are checked by `python -m qualification.closed_loop`."""
     job = by_test.job(9.4, 10e-3)

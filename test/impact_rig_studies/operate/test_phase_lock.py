@@ -221,6 +221,7 @@ def test_a_lock_is_reproducible_bit_for_bit(locked):
     assert again.rows.tobytes() == locked.rows.tobytes()
 
 
+@pytest.mark.heavy
 def test_the_lock_recovers_after_a_change_of_the_gap():
     rig = local(from_flat(RigConfig(), {"barriers.gap_m": 6e-3, "daq.rate_hz": 2000}))
     lock = PhaseLock(LockPlan(start_hz=9.0, current_a=0.52, dwell_s=1e6))

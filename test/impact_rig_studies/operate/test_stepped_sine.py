@@ -151,6 +151,7 @@ def test_an_impossible_plan_is_rejected(changes, message):
         sweep(**changes)
 
 
+@pytest.mark.heavy
 def test_a_closed_loop_with_the_tracker_measures_the_curve():
     """This is a small campaign: the tracker's rows drive the sweep, and its commands drive the closed-form rig."""
     rate, block = 2000, 200
