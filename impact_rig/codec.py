@@ -423,11 +423,12 @@ def plain(data: Buffer, members: Sequence[tuple[str, str, int]]) -> dict[str, An
     Args:
         data: a message of any type that starts with `std_msgs/Header`.
         members: path (a name for the result), primitive ROS type and count of each member, in the order of the message
-            and without a gap from its first member on. A text must have the count 1, a negative count means a sequence.
+            and without a gap; the first is the seconds of the header stamp. A text must have the count 1, a negative
+            count means a sequence.
 
     Raises:
-        CodecError: as for `header_stamp_ns`, a member is a sequence, a `wstring` or an array of texts, or the message
-            ends before it.
+        CodecError: as for `header_stamp_ns`, a member is a sequence, a `wstring` or an array of texts or has the count
+            0, or the message ends before it.
     """
     header_stamp_ns(data)  # rejects another byte order
     cursor, found = _Cursor(memoryview(data).cast("B"), _ORIGIN), dict[str, Any]()

@@ -110,7 +110,7 @@ class RecordingError(ImpactRigError, OSError):
 
 
 class GoneError(ImpactRigError, RuntimeError):
-    """A rig, analysis or recorder that this program uses has ended, or was replaced; also a `RuntimeError`.
+    """A rig or another node that this program uses has ended, or was replaced; also a `RuntimeError`.
 
     That process will not answer any further request. The message names the process and quotes the end of its log, or
     it names the request that a rig did not answer.
@@ -126,7 +126,10 @@ class SimulationError(ImpactRigError, RuntimeError):
 
 
 def describe(error: BaseException) -> str:
-    """Return an unexpected error as text for users: `TYPE: MESSAGE (FILE:LINE)`, without the place if it is unknown."""
+    """Return an unexpected error as text for users: `TYPE: MESSAGE (FILE:LINE)`.
+
+    FILE:LINE is where it was raised, left out if unknown.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rsplit('/', 1)[-1]}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

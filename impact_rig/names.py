@@ -91,7 +91,7 @@ def quoted(value: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Convert NumPy scalars, also those within a list or tuple, to Python values; return any other value unchanged."""
+    """Convert NumPy scalars, also in nested lists or tuples, to Python values; return any other value unchanged."""
     if isinstance(value, (list, tuple)) and type(value) in (list, tuple):
         return type(value)(map(_plain, value))
     convert = getattr(value, "item", None) if getattr(value, "shape", None) == () else None

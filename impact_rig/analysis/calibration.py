@@ -145,7 +145,7 @@ class Calibration:
     def from_info(cls, rows: NDArray[np.void]) -> Calibration:
         """Return the calibration in the rows of a `daq/info` table, which may have any order.
 
-        A channel without a row is not `present`; a figure that is NaN (unknown) becomes 0.
+        A channel without a row is not `present`. NaN (unknown) becomes 0, but is an error in rate, range or lag order.
 
         Raises:
             ConfigError: no row is of a known channel, or two rows are of the same one; or the rates differ, are not
@@ -230,11 +230,14 @@ class Calibration:
         return response * (1j * omega) ** order if order else response
 
     def scale(self, channel: int, frequency_hz: float) -> float:
-        """Return ωⁿ of a channel: the amplitude of a sine in its unit divided by that of the displacement [m]."""
+        """Return ωⁿ of a channel: the amplitude of a sine in its unit divided by that of the displacement [m].
+
+        For accelerometer and current, n is 0 and the result 1.
+        """
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 
     def scales(self, frequency_hz: float) -> Real:
-        """Return, for every channel, the amplitude of its reading per metre of displacement (`scale`), shape (4,)."""
+        """Return `scale` of every channel, which is 1 for accelerometer and current, shape (4,)."""
         return np.array([self.scale(channel, frequency_hz) for channel in range(len(CHANNELS))])
 
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:

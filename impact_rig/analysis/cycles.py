@@ -289,7 +289,8 @@ def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
     """Return index arrays for `normal_matrix`.
 
     They are the orders 1 … 2H. Then follow three matrices with an entry for each pair (a, b) of the orders 0 … H:
-    |a − b|, a + b, and the sign of b − a. The last two are the rows of the cosines (with the constant) and the sines.
+    |a − b|, a + b, and the sign of b − a. The last two arrays are row numbers of the normal matrix: those of the
+    cosines (with the constant) and those of the sines.
     """
     a, b = np.meshgrid(np.arange(harmonics + 1), np.arange(harmonics + 1), indexing="ij")
     at_cos = np.concatenate([[0], np.arange(1, 2 * harmonics, 2)])
@@ -411,8 +412,8 @@ def _accumulate(
     It stops early if `out` is full. The result is (number of completed cycles, index of the next scan to add).
 
     `low` and `high` are the range of each channel, `last` its value in the scan before, and `jump` its largest change
-    in the present cycle; all have the shape (4,). Cycle n of the call goes to out[n], its status bits to out_flags[n],
-    and its largest changes to out_jump[n].
+    in the present cycle; all have the shape (4,). Cycle n of the call goes to out[n], and its largest changes to
+    out_jump[n]. out_flags[n] are its status bits and, for values not strictly between `low` and `high`, range bits.
     `place` = [sample since the origin, cycle, first sample of the next cycle, flags, scans in the unfinished stretch].
     `waves[n, :, q]` = cos, sin of harmonic n + 1 at q + ½ samples. `sums[q, j]` = Σ basis_q value_j, where j is the
     channel and basis_q the q-th function of the fit (1, cos, sin, cos 2, ...); its last row is Σ value_j². A stretch is

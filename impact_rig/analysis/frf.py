@@ -274,8 +274,8 @@ def transmissibility_frf(
     Args:
         rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1).
         info: rows of `daq/info`.
-        segment: length of a segment in samples. None chooses one that resolves the resonance that is found, but at most
-            1 / `SEGMENTS` of the record.
+        segment: length of a segment in samples. None means 1 / `SEGMENTS` of the record, or less if that resolves the
+            resonance that is found.
         overlap: share of a segment that is also part of the next one. None means a half, or 0 with the window `boxcar`,
             which suits an excitation that repeats from segment to segment.
         window: name of the window for `scipy.signal`.

@@ -212,7 +212,8 @@ def _detect(
     `place` = [scan, samples left while the filter settles, samples left of the search for the peak (`hunting`),
     1 if the filter is to be started, scan of the peak, scans since the last impact].
     After a crossing of the threshold, `hunting` counts down. Meanwhile the peak is the largest value with the sign of
-    the crossing. The swing, the largest value of either sign, determines the threshold of the ringing.
+    the crossing, or with the other sign once that is `FORERUNNER` times as large. The swing, the largest value of
+    either sign, determines the threshold of the ringing.
     `limits` = [lowest threshold, noise factor, ringing factor, decay and forgetting per sample].
     `times` = [samples of the search, samples in which the filter settles, samples in which the sensor rings].
     """

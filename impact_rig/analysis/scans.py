@@ -218,5 +218,5 @@ class Recent:
         return self._blocks[0].stamp_ns + int(number * NS_PER_S / self._rate_hz)
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all kept scans, oldest first; at least one block must have been added."""
+        """Return a copy of the rows of all kept scans, oldest first; at least one block must have been added."""
         return joined([block.rows for block in self._blocks])

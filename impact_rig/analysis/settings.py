@@ -160,7 +160,7 @@ def parse_label(remark: str) -> GapLabel | None:
     """Return the gap label in an operator's remark, such as `gap_m=0.006 at 12500000`; None for any other remark.
 
     The gap is in m: 0 means no sphere, and `nan` unknown. The number after `at` is the rig time [ns] from which the
-    label applies.
+    label applies; a remark without it gives None.
 
     A gap outside 0 to 1 m that is not `nan`, or a time beyond the range of ROS stamps, also gives None.
     """

@@ -157,7 +157,7 @@ NOTICED_S, NOTICED_CYCLES = 0.5, 2.0
 
 @attrs.frozen
 class ImpactPause:
-    """Wait for a sphere that may still strike: the time without impacts so far, and how long it may delay a row."""
+    """Wait for a sphere that may still strike: the time without impacts so far, and its limit to delay a row [s]."""
 
     since_s: float = 0.0  # time since the last impact under drive, or since the gap was set or the drive started
     # time without impacts for which a row is delayed at most; 0 without a sphere, or if none was ever noticed
@@ -171,9 +171,10 @@ class ImpactPause:
 
 @attrs.frozen
 class Progress:
-    """Progress towards the first row after a change of drive, gap label or calibration, as numbers of windows.
+    """Progress towards the first row after the last change, as numbers of windows.
 
-    After the first row, it is complete, or it is the progress towards a row that is overdue.
+    The last change is that of drive, gap label or calibration, a loss of scans, or a reset of the rig. After the first
+    row, the progress is complete, or it is that towards a row that is overdue.
     """
 
     windows: int  # number since the last change; at most `needed`

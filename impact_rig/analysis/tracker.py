@@ -16,7 +16,8 @@
 A tracker receives the tables of the rig. It measures when the response has settled, and names the reason if it cannot.
 The rows of its results are the same bit for bit for any block length, and for any order in which the topics are
 delivered, as long as no table arrives more than `hold_s` late. To achieve this, the tracker delays the scans by that
-time. It counts cycles and windows from the last change of drive, gap label or calibration (`_apply`).
+time. It counts cycles and windows from the first scan, and again from each gap, reset, or change of drive, gap label
+or calibration (`_begin`).
 """
 
 from __future__ import annotations
@@ -176,10 +177,11 @@ class Tracker:
         return self._calibration is not None
 
     def configure(self, info: Table) -> None:
-        """Register the calibration, which applies from the table's stamp on; a repetition of the last table is ignored.
+        """Register the calibration; a repetition of the last table is ignored.
 
-        Another calibration ends the measurement in progress. If the table has another time of scan 0 or another scan
-        rate than the last one, the rig was reset: the scans from then on are measured as a new record.
+        The first calibration applies to all scans. Another one applies from its stamp on, and ends the measurement in
+        progress. If the table has another time of scan 0 or another scan rate than the last one, the rig was reset: the
+        scans from then on are measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -251,7 +253,7 @@ class Tracker:
 
         Blocks that arrive before the first calibration wait for it. Those that are older than `hold_s` by then are
         dropped and counted. A repetition of the newest block is ignored. If blocks are missing, or the stamps go back,
-        the measurement in progress ends with a row that states this, and a new one begins.
+        a row states this, and a new measurement begins.
 
         Args:
             scan: a table `daq/scan`.
@@ -357,7 +359,8 @@ class Tracker:
     def _take_early(self, first_ns: float, end_ns: float = math.inf) -> list[Table]:
         """Return the blocks waiting for the first calibration that begin from `first_ns` to before `end_ns` [ns].
 
-        At most `MOST_EARLY` blocks are returned, the newest ones. All others are dropped, and their scans are counted.
+        At most `MOST_EARLY` blocks are returned, the newest ones. All others are dropped, and their scans are counted
+        as `unconfigured_scans`.
         """
         early, self._early = self._early, []
         kept = [one for one in early if first_ns <= one.stamp_ns < end_ns][-MOST_EARLY:]
@@ -372,7 +375,7 @@ class Tracker:
         )
 
     def _take_unsettled(self) -> None:
-        """Add a row of all cycles of a record that ends before its first row, or a row with only the reason."""
+        """Add a row of the cycles that are kept (`Judge.unsettled`), or a row with only the reason."""
         accumulator = self._accumulator
         if accumulator is None:
             self._emit_status(Status.NO_FREQUENCY, self._buffer.end - 1)
@@ -456,8 +459,8 @@ class Tracker:
     def _resume(self, index: int) -> None:
         """Start to measure at scan `index`, which does not directly follow the scan before it.
 
-        It is the first scan of all, or blocks before it were lost, or the scans went back. A measurement in progress
-        ends with a row that states the reason.
+        It is the first scan of all, or blocks before it were lost, or the scans went back. In the last two cases, a row
+        states the reason, even if there is no drive.
         """
         back = self._started and index < self._buffer.end
         lost = self._started and not back

@@ -335,8 +335,8 @@ def _rounding(cycles: Cycles, calibration: Calibration, frequency_hz: float) -> 
     For a pure sine sampled at many phases, the error of rounding changes only the amplitude (`calibration`). With
     overtones, the phase has such an error too, as large as that of the amplitude if they are at least a step. If the n
     samples fall on only N different drive phases, the errors at these do not average out, and affect amplitude and
-    phase alike. With v from `steps_variance`, their variance is 2 v / N. The scatter of the cycles contains only
-    2 v / n of it, so the rest is added here.
+    phase alike. With v, the `steps_variance` of the channel, their variance is 2 v / N. The scatter of the cycles
+    contains only 2 v / n of it, so the rest is added here.
     """
     n = int(cycles.samples.sum())
     phases = distinct_phases(n, calibration.rate_hz / frequency_hz)
@@ -372,8 +372,8 @@ def note_on(row: np.void | NDArray[np.void]) -> str:
 def measurement_table(found: Measurement, stamp_ns: int, gap_m: float, waited_s: float) -> Table:
     """Return a measurement as a table `transmissibility/table` of one row, stamped with the stamp of its last scan.
 
-    `gap_m` is the operator's label of the gap [m], NaN if unknown. `waited_s` is the time since drive, label or
-    calibration last changed [s].
+    `gap_m` is the operator's label of the gap [m], NaN if unknown. `waited_s` is the time [s] since drive, label or
+    calibration last changed, scans were lost, or the record began.
     """
     row = np.zeros(1, dtype=TRANSMISSIBILITY)
     for column, value in {

@@ -64,7 +64,7 @@ def _text(number: float, spec: str) -> str:
 
 
 def plus_minus(value: float, u: float) -> str:
-    """Return `value ± 2u` as text, for example "63.57 ± 0.32", where `u` is the standard uncertainty."""
+    """Return `value ± 2u`, formatted as by `rounded`, such as "63.57 ± 0.32"; `u` is the standard uncertainty."""
     return " ± ".join(rounded(value, u))
 
 
@@ -92,16 +92,19 @@ class Budget:
 
     transmissibility: float  # mean of the rows
     u_transmissibility: float  # its stated standard uncertainty
-    parts: Sequence[Contribution]  # the lines; their squares add up to (u/DT)²
+    parts: Sequence[Contribution]  # the lines; their squares add up to at least (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return the share of one line of the budget in the variance of the mean DT, 0 to 1; 0 if the variance is 0."""
+        """Return the fraction of the variance of the mean DT that one line contributes; 0 if the variance is 0.
+
+        The fractions of all lines add up to 1, or to more if the other terms exceed the total (module docstring).
+        """
         whole = (self.u_transmissibility / self.transmissibility) ** 2
         return part.u_relative**2 / whole if whole else 0.0
 
 
 def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: float = 0.0) -> Budget:
-    """Return the uncertainty budget of the mean transmissibility of settled rows of one setting.
+    """Return the uncertainty budget of the mean transmissibility of settled rows at one frequency and gap.
 
     The rows are those of `transmissibility/table`, shape (n,), n >= 1; `lag_uncertainty` is the relative standard
     uncertainty of the sensors' lags.

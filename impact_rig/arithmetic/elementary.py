@@ -67,8 +67,8 @@ def nearest(x: float) -> float:
 def sincos(x: float) -> tuple[float, float]:
     """Return (sin x, cos x), x in radians.
 
-    The error is within 1 ulp up to |x| = 1.6e6. For larger |x|, the reduction to |r| <= π/4 adds an error of about the
-    spacing of floats at x.
+    The error is within 1 ulp up to |x| = 1.6e6. For larger |x|, up to 2^51, the reduction to |r| <= π/4 adds an
+    error of about the spacing of floats at x. Beyond 2^51, the results are meaningless.
     """
     k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
     first, second = x - k * _HALF_PI_1, k * _HALF_PI_2  # both exact

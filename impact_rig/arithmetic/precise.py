@@ -159,14 +159,14 @@ def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Co
 
 @with_70_digits
 def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Complex] | None:
-    """Return the roots of a real polynomial, or None if some of them are too close together to separate.
+    """Return the roots of a real polynomial, or None if the iteration fails, as when some are too close together.
 
     Real roots are listed first, in descending order, then one root of each conjugate pair (imaginary part > 0), in
     ascending order of the imaginary part.
 
     Args:
         coefficients: constant first.
-        start: approximate values of all roots, in any order; the result does not depend on them.
+        start: approximate values of all roots, in any order; they do not affect the first 30 digits of the roots.
     """
     found = [exactly(z * complex(1.0, 1e-14 * k)) for k, z in enumerate(start)]  # equal values are moved apart
     for _ in range(_MOST_CORRECTIONS):
@@ -183,10 +183,10 @@ def roots(coefficients: Sequence[Decimal], start: Sequence[complex]) -> list[Com
 
 
 def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Complex]) -> Complex | None:
-    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) at z, which approximates one root of the polynomial.
+    """Return Aberth's step p / (p' − p Σ 1 / (z − other)) at z, which approximates one root of the polynomial p.
 
-    The step is to be subtracted from z. It is 0 at a root. Elsewhere it is None if z equals one of `others`, the
-    approximations of the other roots, or if the denominator is 0.
+    The `coefficients` of p begin with the constant. The step is to be subtracted from z. It is 0 at a root. Elsewhere
+    it is None if z equals one of `others`, the approximations of the other roots, or if the denominator is 0.
     """
     value, slope = evaluate_with_slope(coefficients, z)
     if not value.square():

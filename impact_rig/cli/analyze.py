@@ -143,7 +143,10 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 
 
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `impact-rig analyze --frf`: print and draw the frequency response x_1/x_b of a run; return exit code 0."""
+    """Run `impact-rig analyze --frf`: print the frequency response x_1/x_b of a run, and with `--figures` draw it.
+
+    Return exit code 0.
+    """
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.excerpts import response_of  # noqa: PLC0415  # as above
 
@@ -207,9 +210,10 @@ def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
-    """Return sentences that compare the distance of the frequency lines with the width of the resonance, both in Hz.
+    """Return sentences that compare the distance of the frequency lines with the width of the resonance.
 
-    If the lines are too far apart to show the height of the resonance's peak, the last sentence is a warning.
+    If the lines are too far apart to show the height of the resonance's peak, the last sentence is a warning. If no
+    resonance was found, the only sentence says so.
     """
     from impact_rig.analysis.frf import RESOLVED, SEGMENTS, resolving_s  # noqa: PLC0415  # as above
 
@@ -232,9 +236,10 @@ def _resolution(found: Frf, window: str, apart_hz: float) -> list[str]:
 
 
 def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
-    """Run `impact-rig analyze --sine`: print and draw the sine fitted to each channel, and DT computed from them.
+    """Run `impact-rig analyze --sine`: print the sine fitted to each channel and DT, and with `--figures` draw them.
 
-    Return exit code 1 if laser and base were measured but their sines give no valid DT, else 0.
+    The scans are those of the last settled measurement, or without one those at the end of the run. Return exit code 1
+    if laser and base were measured but give no valid DT, else 0.
     """
     from impact_rig.analysis.drawings import sine_fits  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs import reanalysis  # noqa: PLC0415  # as above
@@ -301,9 +306,12 @@ def run_sine(console: Console, run: Run, arguments: argparse.Namespace) -> int:
 
 
 def prepare_figure(arguments: argparse.Namespace, stem: str) -> None:
-    """Check, before a long analysis, that its figure `stem` can be written into the directory of `--figures`.
+    """Create the directory of `--figures` and check, before a long analysis, that the figure `stem` can be written.
 
     Without `--figures`, do nothing.
+
+    Raises:
+        RecordingError: the directory cannot be created or written to, or contains the figure already.
     """
     if arguments.figures is not None:
         from impact_rig.runs.drawings import prepare  # noqa: PLC0415  # heavy: after the run is open

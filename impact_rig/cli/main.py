@@ -65,7 +65,10 @@ def commands() -> dict[str, EntryPoint]:
 
 
 def command_line(command: str = "") -> argparse.ArgumentParser:
-    """Return the parser of the program with all subcommands or, to start faster, with `command` alone if it is one."""
+    """Return the parser of the program with all subcommands or, to start faster, with `command` alone if it is one.
+
+    If `command` is `--version`, the parser has no subcommands.
+    """
     import argparse  # noqa: PLC0415  # after the signals are taken
 
     import impact_rig  # noqa: PLC0415
@@ -100,6 +103,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: words of the command line without the program's name. None means those of this process; then
             SIGINT and SIGTERM end the command in an orderly way, and a shell's request for completions is answered.
+
+    Raises:
+        SystemExit: the words are not a valid command line (code 2), or ask for help or the version (code 0).
     """
     if arguments is not None:
         return _run(_parse(arguments), None)

@@ -107,7 +107,7 @@ class Quantity:
         return value
 
     def number(self, text: str) -> float:
-        """Return the value of `text` in the SI unit, for a parser without `names`.
+        """Return the same as `parse`, for a parser that accepts no names of signals (`names` is false).
 
         Raises:
             ConfigError: as `parse`.

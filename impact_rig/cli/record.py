@@ -53,7 +53,8 @@ def run_record(arguments: argparse.Namespace) -> int:
 
     Raises:
         KeyboardInterrupt: the run was interrupted; what it measured so far was printed.
-        ImpactRigError: the options are invalid, or the run ended before anything was recorded.
+        ImpactRigError: the options are invalid, nothing was recorded, or the rig is gone or cannot continue; no DT was
+            printed.
     """
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)

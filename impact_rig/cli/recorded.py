@@ -122,7 +122,10 @@ LISTED = 20  # largest number of damaged places that are listed
 def run_recover(arguments: argparse.Namespace) -> int:
     """Run `impact-rig recover`: save the intact parts of a run as a new run, and print what is missing.
 
-    Return exit code 3 (`INCOMPLETE`) if something of the run is damaged or missing, else 0.
+    Return exit code 3 (`INCOMPLETE`) if something of the run is known to be damaged or missing, else 0.
+
+    Raises:
+        RecordingError: no message can be recovered, or a file cannot be read or written.
     """
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:
@@ -198,7 +201,7 @@ def _recover_content(report: RecoverReport) -> dict[str, object]:
 def run_replay(arguments: argparse.Namespace) -> int:
     """Run `impact-rig replay`: publish the messages of a run until its end, or with `--loop` until a signal.
 
-    Return exit code 0.
+    Return exit code 0 at the end of the run. A signal raises KeyboardInterrupt, also with `--loop`.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with open_run(arguments.path, arguments.rig) as opened:

@@ -55,7 +55,7 @@ BYTES = re.compile("[\ud800-\udfff]")  # surrogates, by which Python represents 
 
 
 class Console(rich_console.Console):
-    """Terminal output that shows every text literally, without markup and with control characters escaped.
+    """Terminal output that shows every text without markup, and escapes control characters, including line feeds.
 
     Args:
         quiet: whether to print nothing, because the command prints its results as JSON.
@@ -71,17 +71,18 @@ class Console(rich_console.Console):
         super().print(*objects, **{**whole, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as rich draws it: without markup, control characters escaped, shortened beyond `LONGEST_TEXT`.
+        """Return a text as rich draws it: without markup, and with control characters and line feeds escaped.
 
-        Rich calls this method.
+        A text longer than `LONGEST_TEXT` loses its middle. Rich calls this method.
         """
         return super().render_str(one_line(text, LONGEST_TEXT), **{**options, "markup": False, "emoji": False})
 
 
 class TextTable(rich_table.Table):
-    """Table for a terminal of 80 columns: units are below their names, and numbers and units are never truncated.
+    """Table for a terminal of 80 columns, with units below their names.
 
-    Its columns are first those with texts (`left`), then right-aligned numbers (`right`), then further texts (`last`).
+    Texts may be wrapped, but numbers and units are never truncated. The columns are first those with texts (`left`),
+    then right-aligned numbers (`right`), then further texts (`last`).
     """
 
     def __init__(
@@ -183,7 +184,7 @@ class Counted(Progress):
             self._steps.show(done, state)
 
     def stop(self) -> None:
-        """Show the text `end` instead of the state, and end the display."""
+        """End the display; on a terminal, the text `end` remains in place of the state."""
         self.update(self.task_ids[0], state=self.end)
         super().stop()
 

@@ -156,7 +156,7 @@ class Collector:
         return int(numbers[-1] - numbers[0] + 1 - len(set(numbers))) if numbers else 0
 
     def clear(self) -> None:
-        """Drop all messages received so far."""
+        """Drop the messages kept in this collector; `refused` stays unchanged."""
         self.received.clear()
 
 
@@ -188,8 +188,9 @@ class AddressedActivation:
     """Record of which activation of a rig a client addresses, so that a wait ends when that activation is over.
 
     Each activation of a rig reports its own identifier (`instance`) in diagnostics. A command belongs to the activation
-    that receives it. Before you wait for the effect of a command, call `given`. The check that it returns raises an
-    error once that activation has been replaced, or once the rig, having reported before, is silent for two seconds.
+    that receives it. Before you wait for the effect of a command, call `given`. The check that it returns raises a
+    `RigGoneError` once that activation has been replaced, or once the rig, having reported before, is silent for
+    two seconds.
 
     Args:
         clock: monotonic clock [s].
@@ -204,7 +205,7 @@ class AddressedActivation:
 
     @property
     def is_overdue(self) -> bool:
-        """Return whether a rig that has reported before has now been silent for more than a second."""
+        """Return whether no report has arrived for more than a second; False before any report or call of `changed`."""
         return self._is_there and self._clock() - self._reported_at > DIAGNOSTICS_PERIOD_S
 
     @property
@@ -243,7 +244,8 @@ class AddressedActivation:
         """Return a check that raises `RigGoneError` once the activation that is addressed now is over.
 
         It is over if another activation has reported, or if no report has arrived for `silence_s` seconds since this
-        call. Before any report, the first activation that reports is addressed, and silence does not count.
+        call. Before any report, the first activation that reports is addressed, and silence counts only after a call
+        of `changed`.
 
         Args:
             what: what the rig was asked to do, for the message.
@@ -279,7 +281,10 @@ class Spinner:
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return the time [s] on a clock for time limits that stops while a callback runs, as that may compile code."""
+        """Return the time [s] on a monotonic clock for time limits that stops during long callbacks.
+
+        A callback may compile code. The clock runs for at most `longest_s` seconds in each call of `spin`.
+        """
         return time.monotonic() - self._working_s
 
     def spin(self, longest_s: float = SPIN_S) -> None:
@@ -413,7 +418,7 @@ class Client:
         Args:
             condition: function without arguments, called before each callback.
             what: what is awaited, for the error message.
-            timeout_s: longest wait [s]; time in which a callback of a hosted node is busy does not count.
+            timeout_s: longest wait [s]; the time of a callback beyond 0.1 s does not count.
             check: called before each callback; raises an error if the wait has become pointless, see `given`.
 
         Returns:
@@ -441,6 +446,9 @@ class Client:
             rig: node name of the rig, relative to the namespace.
             may_be_silent: whether the rig may be busy without a report until the wait ends, as when it compiles a new
                 contact law.
+
+        Raises:
+            GoneError: the rig was silent for over a second before this call, and is gone or has been replaced.
         """
         activation = self._rigs.setdefault(rig, AddressedActivation(self._spinner.waited_s))
         check = activation.given(what, math.inf) if may_be_silent else activation.given(what)
@@ -518,7 +526,7 @@ class Client:
         return node
 
     def evict(self, node: Any) -> None:
-        """Destroy a node that this client hosts, after its removal from the client's executor.
+        """Remove a node that this client hosts from the client's executor, and destroy it.
 
         Args:
             node: a node from `host`.
@@ -659,7 +667,8 @@ class Client:
         Args:
             blocks: number of blocks of a step: the rig's parameter `step.blocks` is set to it, for later steps, too.
                 None leaves the parameter unchanged.
-            timeout_s: time limit [s], by default 240: the first step may have to compile the physics.
+            timeout_s: time limit for the service to appear, and again for its answer [s], by default 240: the first
+                step may have to compile the physics.
 
         Returns:
             The message in the rig's answer.
@@ -809,7 +818,7 @@ class Client:
 
         Args:
             node: node name.
-            timeout_s: time limit for the answer [s].
+            timeout_s: time limit for the service to appear, and again for its answer [s].
 
         Raises:
             TimeoutError: the node did not answer in time.
@@ -823,7 +832,8 @@ class Client:
         Args:
             node: node name.
             transition: `configure`, `activate`, `deactivate`, `cleanup`, or a `shutdown_...` of `TRANSITIONS`.
-            timeout_s: time limit for the answer [s], by default 240: a rig may have to compile its physics.
+            timeout_s: time limit for the service to appear, and again for its answer [s], by default 240: a rig may
+                have to compile its physics.
 
         Returns:
             Whether the transition succeeded.
@@ -860,8 +870,8 @@ class Client:
 
         Args:
             name: topic name as in docs/reference/interface.md, such as `daq/scan`.
-            acknowledge: whether to acknowledge every message on daq/ack; necessary for daq/scan if this client is a
-                peer of the rig, listed in its parameter `time.peers`.
+            acknowledge: whether to acknowledge every valid message on daq/ack; necessary for daq/scan if this client is
+                a peer of the rig, listed in its parameter `time.peers`.
             timeout_s: time limit for the publisher to appear [s].
 
         Returns:

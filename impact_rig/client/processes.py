@@ -52,7 +52,7 @@ ParameterValue = bool | int | float | str | Sequence[str] | Sequence[float]
 
 
 class ProcessDiedError(GoneError):
-    """Unexpected end of a node process; the message has the exit code and the last log lines of that process."""
+    """Unexpected end of a node process; the message has its exit code or signal, and its last log lines."""
 
 
 @attrs.define(eq=False)
@@ -85,7 +85,7 @@ class NodeProcess:
         return "\n".join(f"    {line}" for line in lines) or "    (no output)"
 
     def signal(self, number: int) -> None:
-        """Send a signal to the process and its children; no effect if the process has already ended."""
+        """Send a signal to the process and its children, also to those that outlive it; no effect if all have ended."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, number)
 
@@ -139,7 +139,7 @@ class Processes:
         Args:
             node: one of `NODES`, or the name of a module to run; with `command`, only the default of `name`.
             parameters: ROS parameters, `section.key` -> value; they override the file.
-            name: node name and name of its log file (default: `node`).
+            name: node name (default: `node`). The output is appended to `NAME.log`.
             parameters_file: ROS 2 parameter file.
             environment: additional environment variables.
             command: program and arguments that start the node instead of a module; `--ros-args …` is appended.
@@ -177,7 +177,7 @@ class Processes:
         """Check that no process of the group has ended, except those ended by `stop`.
 
         Raises:
-            ProcessDiedError: a process has ended; the message has its name, exit code and last log lines.
+            ProcessDiedError: a process has ended; the message has its name, exit code or signal, and last log lines.
         """
         for process in self.running.values():
             code = process.exit_code
@@ -273,8 +273,9 @@ def domain_of_environment() -> int:
 def isolated_domain() -> Iterator[int]:
     """Reserve a ROS domain that is not in use until the end of the `with` statement, and yield its id.
 
-    Two programs never get the same id from here, because each locks a file while it uses one. A domain in which any
-    process of this machine takes part is skipped; a program that selects it later by ROS_DOMAIN_ID is not kept out.
+    Two programs of one user never get the same id from here, because each locks a file while it uses one. A domain in
+    which any process of this machine takes part is skipped; a program that selects it later by ROS_DOMAIN_ID is not
+    kept out.
     Within the statement, discovery of this process and its children is limited to this machine.
 
     Raises:

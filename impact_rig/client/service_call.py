@@ -43,8 +43,8 @@ REPEATABLE = (
 class ServiceCall:
     """Service call in progress: a request that has been sent, and its response.
 
-    Creating the object sends the request; then call `response` until it returns the response. Leaving the context
-    manager ends the call; a response that arrives later is ignored.
+    Creating the object sends the request; then spin the node of `client`, and call `response` until it returns the
+    response. Leaving the context manager ends the call; a response that arrives later is ignored.
 
     Args:
         client: client of the service, which must be ready.

@@ -97,7 +97,7 @@ class FieldInfo:
         return self.doc[:1].lower() + self.doc[1:].rstrip(".")
 
     def range_text(self) -> str:
-        """Return the allowed values as text for messages: `> 0 and <= 1`, `one of sine, chirp`, `any finite number`."""
+        """Return the allowed numbers, words or texts, for messages: `> 0 and <= 1`, `one of sine, chirp`."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.means:
@@ -185,7 +185,7 @@ def _check_floats(_instance: object, attribute: attrs.Attribute[Any], value: obj
 
 
 def _to_float(value: object) -> object:
-    """Return a float for an integer, or for a text such as `8e-06`; other values unchanged, for the validator to check.
+    """Return a float for an integer or a text with an exponent; other values unchanged, for the validator to check.
 
     Users write 6 for 6.0. They and `ros2 param load` write 8e-06, which YAML 1.1 reads as text because it has no point.
     """

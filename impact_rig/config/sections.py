@@ -280,7 +280,7 @@ class Time:
 
     @property
     def publishes_clock(self) -> bool:
-        """Return whether the rig publishes /clock."""
+        """Return whether the rig publishes /clock: as `publish_clock` says or, for `auto`, if `is_simulated`."""
         return self.is_simulated if self.publish_clock == "auto" else self.publish_clock == "always"
 
 

@@ -176,7 +176,7 @@ def flatten(tree: object, prefix: str = "", depth: int = 0) -> dict[str, object]
 
 
 def nested(flat: Mapping[str, object], kind: type[N]) -> N:
-    """Return values by dotted name as nested mappings of the class `kind`: `{"a.b": 1}` becomes `{"a": {"b": 1}}`."""
+    """Return values by dotted name as nested new mappings of class `kind`: `{"a.b": 1}` becomes `{"a": {"b": 1}}`."""
     tree = kind()
     for name, value in flat.items():
         *sections, key = name.split(".")
@@ -208,9 +208,13 @@ def _walk(section: type[attrs.AttrsInstance], prefix: str) -> Iterator[tuple[str
 
 
 def _evolve(section: attrs.AttrsInstance, changes: Mapping[str, object], prefix: str = "") -> attrs.AttrsInstance:
-    """Return a copy of `section` with the nested `changes`; `prefix` is its dotted name, for messages.
+    """Return a copy of `section` with the nested `changes`, whose keys must exist.
 
     Each section is built once, with all its changes, so that checks across values see only the final combination.
+    `prefix` is its dotted name with a dot at the end, for messages.
+
+    Raises:
+        ConfigError: a value is invalid, or values contradict each other.
     """
     values = {
         key: _evolve(getattr(section, key), value, f"{prefix}{key}.") if isinstance(value, _Nested) else value

@@ -151,17 +151,17 @@ class DaqmxTask:
         samples: number of samples per channel of a finite task; None means a continuous task.
         clock_samples: number of samples per channel as given to `configure_clock`, for a continuous task, too.
         buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
-        trigger: kind of the task whose start also starts this one; empty if it has no trigger.
+        trigger: kind of the task for whose start this one waits, once started; empty if it has no trigger.
         regenerates: whether an output repeats its buffer.
-        auto_starts: whether a read starts the task.
+        auto_starts: whether a read starts the task if it was not started.
         state: state of the task.
         run: number of times that the task was started.
         begin_ns: wall time of its first sample [ns since 1970].
         passed: number of samples per channel since the start that were read; of an output, that were passed to the rig.
         written: number of samples written to an output since the task was created.
         error: error that ended the task; None if there was none.
-        acquisition: input of the rig while the task acquires; None for an output.
-        output: output of the rig while the task generates; None for an input.
+        acquisition: input of the rig, from the start of an input task until `Board.stop`, even if done; else None.
+        output: output of the rig, from the start of an output task until it ends; else None.
         data: samples of an output that are still to be played, or are repeated [V].
     """
 
@@ -230,9 +230,9 @@ class DaqmxTask:
     def buffer_size(self) -> int:
         """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
 
-        NI-DAQmx makes the buffer of an output as large as the samples written before the start. It makes the buffer of
-        a finite input as large as its number of samples. The buffer of a continuous input depends on the rate and has
-        room for at least `clock_samples`.
+        The chosen buffer of an output is as large as `data`: all samples written before the start or, if they are not
+        repeated, those still to be played. That of a finite input is as large as its number of samples. That of a
+        continuous input depends on the rate and has room for at least `clock_samples`.
         """
         if self.buffer_samples is not None:
             return self.buffer_samples
@@ -397,7 +397,7 @@ class Board:
         task.kind = kind
 
     def channels(self, task: DaqmxTask, text: str) -> list[BoardChannel]:
-        """Return the channels of a task that a list of their names, such as `Dev1/ai1:3, laser`, selects.
+        """Return the channels of a task that a list of their names in the task, such as `Dev1/ai1:3, laser`, selects.
 
         An empty list selects all channels.
 
@@ -478,10 +478,10 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Set or remove the start trigger of a task: the start of the other kind of task then starts this task, too.
+        """Set or remove the start trigger of a task: once started, it waits until a task of the other kind starts.
 
         Args:
-            task: task to be started by the trigger.
+            task: task that waits for the trigger.
             source: start terminal of the other kind of task: `/Dev1/ai/StartTrigger` or `/Dev1/ao/StartTrigger`. An
                 empty text removes the trigger.
 
@@ -561,7 +561,7 @@ class Board:
                 continuous one has acquired and not yet returned, but no more than `most`.
             most: largest number of samples per channel that the client accepts.
             timeout_s: longest wait [s]; a negative value means no limit.
-            goes_on: returns whether the client still waits for the answer.
+            goes_on: returns whether the client still waits for the answer; if not, the wait ends with a DaqmxError.
 
         Returns:
             Values in the units of the channels, shape (channels, n), where n is `count` unless that is negative.
@@ -625,7 +625,7 @@ class Board:
             task: the task.
             values: samples [V], shape (n,). Without a sample clock, the output takes the last of them and keeps it.
             timeout_s: longest wait for space in the buffer [s]; a negative value means no limit.
-            goes_on: returns whether the client still waits for the answer.
+            goes_on: returns whether the client still waits for the answer; if not, the wait ends with a DaqmxError.
             auto_start: whether to start the task if it is not running.
 
         Raises:
@@ -693,7 +693,7 @@ class Board:
         Args:
             task: the task.
             timeout_s: longest wait [s]; a negative value means no limit.
-            goes_on: returns whether the client still waits for the answer.
+            goes_on: returns whether the client still waits for the answer; if not, the wait ends with a DaqmxError.
 
         Raises:
             DaqmxError: the task did not end in time, was not started, or ended with an error.

@@ -305,7 +305,11 @@ class Service:
     # Events
 
     def RegisterEveryNSamplesEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield a response for every `n_samples` samples acquired by an input, or passed to the rig by an output."""
+        """Yield a response for every `n_samples` samples acquired by an input, or passed to the rig by an output.
+
+        The count begins again with each start of the task. The responses end when the task is cleared or the client
+        leaves.
+        """
 
         def check(task: DaqmxTask) -> None:
             self._must_be(request, "every_n_samples_event_type", {ACQUIRED if task.kind == "ai" else TRANSFERRED})
@@ -321,7 +325,10 @@ class Service:
         return self._follow(request, context, check, pending, lambda _: response)
 
     def RegisterDoneEvent(self, request: Any, context: Any) -> Iterator[Any]:
-        """Yield a response each time that a task has completed its samples (error code 0) or failed (its code)."""
+        """Yield a response each time that a task has completed its samples (error code 0) or failed (its code).
+
+        The responses end when the task is cleared or the client leaves.
+        """
 
         def pending(task: DaqmxTask, reported: int) -> int:
             return int(task.state is State.DONE and not reported)

@@ -86,7 +86,7 @@ class StreamLevel(NamedTuple):
 
 
 class Turns:
-    """Fair reentrant lock: a thread that has released it gets it again only after one that already waits for it."""
+    """Fair reentrant lock: a thread that releases it while others wait gets it again only after one of them."""
 
     def __init__(self) -> None:
         self._next, self._lock = threading.Lock(), threading.Lock()
@@ -163,17 +163,21 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def tables(self, topic: str = SCANS) -> list[Table]:
-        """Return the tables of a topic that were published and are still kept, oldest first."""
+        """Return the tables of a topic that were published and are still kept, oldest first.
+
+        Raises:
+            ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
+        """
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
-        """Return the journal since the start, across resets, oldest entry first: every input that changed the state."""
+        """Return the kept journal entries, across resets, oldest first: the inputs that changed the rig's state."""
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
         """Write an MCAP run of this rig into a new directory, and return that directory.
 
-        A `LocalRig` writes what it keeps, a `RosRig` copies what its recorder has written.
+        A `LocalRig` writes what it keeps; a `RosRig` copies what its recorder has written and is unusable afterwards.
 
         Raises:
             RecordingError: the run cannot be written.
@@ -233,7 +237,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:
-        """Command frequency [Hz] and current [A peak] now (None: unchanged), and return the first scan they act on."""
+        """Apply `command` with these values now, and return the number of the first scan they act on."""
 
     @abc.abstractmethod
     def _forget(self) -> None:
@@ -248,13 +252,13 @@ class RigDriver(abc.ABC):
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
-        """Process what has arrived from a rig that runs by itself, without waiting; no effect on other rigs."""
+        """Process the messages that have arrived from a `RosRig`, without waiting; no effect on a `LocalRig`."""
 
     def connect(self, listener: Callable[[Table], object]) -> None:
-        """Call a function with every block of scans from now on, in order, while the rig advances.
+        """Call a function with every block of scans from now on, in order, until `disconnect` or `close`.
 
-        Blocks that an instrument fault withholds are left out. An exception of the function ends the call that advances
-        the rig.
+        The calls are made while the rig advances; an exception of the function ends the call that advances it. Blocks
+        that an instrument fault withholds are left out.
 
         Args:
             listener: function that gets each table of `daq/scan`.
@@ -291,7 +295,7 @@ class RigDriver(abc.ABC):
 
     @property
     def stream_rate_hz(self) -> int:
-        """Samples per second of the stream that drives the rig."""
+        """Samples per second of a stream that drives the rig, as configured (`drive.stream_rate_hz`)."""
         return self.config.drive.stream_rate_hz
 
     @property
@@ -486,14 +490,14 @@ class RigDriver(abc.ABC):
 
     @property
     def lost_scans(self) -> int:
-        """Number of scans that the rig measured but did not publish since its start or last reset.
+        """Number of scans measured since the start or last reset that were not published or, over ROS, not received.
 
         A fault that loses blocks is the usual reason.
         """
         return self._lost_before + sum(end - first for first, end in self.lost_samples())
 
     def lost_samples(self) -> list[tuple[int, int]]:
-        """Return the ranges of scans that were measured but not published since the last `clear` or reset.
+        """Return the ranges of scans lost since the last `clear` or reset: not published, or not received over ROS.
 
         Scans are numbered from 0 at the start of the rig or its last reset. Ranges before the oldest scan that the rig
         still keeps are left out; `lost_scans` counts their scans, too.
@@ -530,7 +534,7 @@ class RigDriver(abc.ABC):
 
     @property
     def faults(self) -> list[Fault]:
-        """Instrument faults that the configuration plans (`instruments.faults.planned`), and those injected later.
+        """Instrument faults that the configuration plans, and those injected later (of a `LocalRig`, the last 100).
 
         Faults are listed even if they have ended or a reset has removed them.
         """

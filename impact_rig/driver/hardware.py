@@ -48,7 +48,7 @@ class UnderrunError(CommandError):
     """Underrun of an analog output: samples were not written in time, so the rig continued without them.
 
     Attributes:
-        samples: number of samples that were not played.
+        samples: number of samples that came too late and were dropped, and of those not written in time.
     """
 
     def __init__(self, message: str, samples: int) -> None:
@@ -94,7 +94,10 @@ class AnalogOutput:
 
     @property
     def buffered(self) -> int:
-        """Number of samples that were written and have not been played yet; before `start`, those that wait for it."""
+        """Number of samples that were written and have not been played yet.
+
+        Before `start`, and after `stop` or an `UnderrunError`, only those that wait for the next `start` count.
+        """
         if self.next_sample is None or not self._playing:
             return sum(map(len, self._waiting))
         return max(0, self.next_sample - self._level().sample)
@@ -154,7 +157,8 @@ class AnalogOutput:
             timeout_s: longest wait for space in the buffer [s of wall time].
 
         Returns:
-            Number of samples since the last call that came too late to be played; always 0 with `raise_underrun`.
+            Number of missed samples since the last call: those that came too late and were dropped, and the sample
+            numbers skipped to catch up with the rig; always 0 with `raise_underrun`.
 
         Raises:
             TimeoutError: the buffer had no space in time; the samples before `next_sample` were accepted.
@@ -210,8 +214,8 @@ class AnalogOutput:
     def _lost(self) -> int:
         """Return how many samples since the last call came too late.
 
-        If the next sample would come too late, it is moved to the first one that can arrive in time; the samples that
-        this skips count as well.
+        If the rig has passed the number of the next sample, that is increased to the first one that can arrive in time;
+        the numbers skipped count as well.
 
         Raises:
             UnderrunError: there are such samples, and `raise_underrun` is set; the output then stops playing.
@@ -305,7 +309,7 @@ class Acquisition:
         """Return the next `count` scans as soon as they have arrived; start the acquisition if necessary.
 
         Args:
-            count: number of scans.
+            count: number of scans, at most those that fit into `buffer_s`.
             timeout_s: longest time without a new scan [s of wall time].
 
         Returns:

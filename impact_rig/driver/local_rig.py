@@ -65,9 +65,10 @@ JOINT_STATES = f"{NAMESPACE}/{topics.JOINT_STATES.name}"
 class LocalRig(RigDriver):
     """Rig in this process, with optional analysis and recording.
 
-    Rig time advances only in `step`, `run`, `run_to_sample` and `wait_until`. Inputs (`command`, `configure`, `inject`
-    and `feed`) act at exact scans. `rows`, `tables` and `newest` return what the rig has published, and `save` writes
-    it as a run. The same calls operate a `RosRig`. Used as a context manager, it calls `close` at the end.
+    Rig time advances only in `step`, `run`, `run_to_sample`, `wait_until`, and `command` with `at_sample`. Inputs
+    (`command`, `configure`, `inject` and `feed`) act at exact scans. `rows`, `tables` and `newest` return what the rig
+    has published, and `save` writes it as a run. The same calls, except `reset`, operate a `RosRig`. Used as a context
+    manager, it calls `close` at the end.
 
     Args:
         config: the configuration, or the values that differ from the paper's rig, `section.key` -> value, as in
@@ -188,7 +189,8 @@ class LocalRig(RigDriver):
     def journal(self) -> list[JournalEntry]:
         """Return the journal since the start, across resets, oldest entry first: every input that changed the state.
 
-        The oldest entries are dropped once what is kept of earlier inputs fills half of `kept_bytes`.
+        Once old entries, commands and calibrations fill half of `kept_bytes`, the oldest are dropped, even the entry of
+        the start.
         """
         return list(self._kept[topics.JOURNAL.name])
 
@@ -233,11 +235,11 @@ class LocalRig(RigDriver):
             fault: the fault; its `start_sample` must not be measured yet.
 
         Returns:
-            Number of the fault, from 1, for `core.clear_fault`. Planned faults have the first numbers; after a reset,
-            the count goes on from these.
+            Number of the fault, from 1, for `core.clear_fault`. Planned faults have the first numbers. A reset restarts
+            the count after the planned ones.
 
         Raises:
-            CommandError: the kind or channel is unknown, or the scan has been measured already.
+            CommandError: the channel is not present, or the scan has been measured already.
         """
         number = self.core.inject(fault)
         self._injected.append(fault)
@@ -245,9 +247,10 @@ class LocalRig(RigDriver):
         return number
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
-        """Send samples of the stream that drives the rig (`drive.waveform: stream`); a recording holds those accepted.
+        """Send samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Samples that come too late are dropped, and counted as `late` in `stream_level`.
+        Samples that come too late are dropped, and counted as `late` in `stream_level`. A recording contains all
+        samples of each accepted call, late ones included.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.

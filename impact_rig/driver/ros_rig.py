@@ -91,8 +91,8 @@ class RosRig(RigDriver):
 
     It has the methods of `LocalRig` except `reset`. Its `client` sends commands and calls services like an operator's
     program. Use it to test ROS 2 nodes: `host` runs a node in this process, `start_node` starts one as a process, and
-    each step waits until the node has processed its scans. Used as a context manager, it ends everything that it has
-    started. It needs ROS 2.
+    each step of a lockstep rig waits until the node has processed its scans. Used as a context manager, it ends
+    everything that it has started. It needs ROS 2.
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
@@ -102,7 +102,7 @@ class RosRig(RigDriver):
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
             become parameters of an analysis node. None means no analysis, {} one with the defaults.
-        record: directory of a run that a recorder writes; True means a temporary one, from which `save` copies it.
+        record: directory of a run that a recorder writes; True means one in `directory`, which `renew` replaces.
         also: further topics whose tables are kept, such as `truth/scan`.
         mode: `time.mode` of a new rig; a running rig keeps its own. `lockstep`, the default, advances only on request;
             `realtime` and `free_running` rigs run by themselves, and `step` waits for their scans.
@@ -276,7 +276,7 @@ class RosRig(RigDriver):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node under test in this process; the rig waits for its callback after each block.
 
-        The code of the node need not be changed.
+        Its code need not be changed. Its callbacks run in this thread while this object waits, without a time limit.
 
         Args:
             make_node: class or function that creates the node.
@@ -316,8 +316,8 @@ class RosRig(RigDriver):
             output: topic on which the node answers every block. The stamp in an answer's header tells which block;
                 answers without a header are counted. None: the node sends `daq/ack` itself, with its name as
                 `frame_id`.
-            timeout_s: time limit for the node to subscribe to daq/scan, and then to publish `output` [s], by default
-                30 each.
+            timeout_s: time limit for the node to subscribe to daq/scan, and then for a publisher of `output` to appear
+                [s], by default 30 each.
 
         Returns:
             The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
@@ -338,8 +338,8 @@ class RosRig(RigDriver):
             name: node name of the node.
             output: topic on which the node answers every block, as for `start_node`. None: the node sends `daq/ack`
                 itself.
-            timeout_s: time limit for the node to subscribe to daq/scan, and then to publish `output` [s], by default
-                30 each.
+            timeout_s: time limit for the node to subscribe to daq/scan, and then for a publisher of `output` to appear
+                [s], by default 30 each.
 
         Returns:
             The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
@@ -422,7 +422,7 @@ class RosRig(RigDriver):
                 )
 
     def _received_to(self) -> int:
-        """Return the number of the scan after the last one that has arrived."""
+        """Return the number of the scan after the last one that has arrived, but at least `sample`."""
         table = self._collectors[SCANS].last()
         return self.sample if table is None else max(self.sample, self.first_scan(table) + len(table.rows))
 
@@ -512,7 +512,7 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned and injected instrument faults.
+        """Planned instrument faults, and all injected ones, even if they have ended or their lines were removed.
 
         `start_sample` of an injected fault is the scan number given to `inject`, counted from scan 0. The node's
         parameter instead states the start relative to the moment of injection.
@@ -577,7 +577,8 @@ class RosRig(RigDriver):
     def stopped(self) -> str:
         """Reason why the shaker is stopped by a trip or emergency stop, from the journal; empty if it is not stopped.
 
-        It stays stopped, and the rig cannot be reset, until the service `rig/clear_trip`.
+        It stays stopped, and the rig cannot be reset, until the service `rig/clear_trip`. A stop before this object
+        joined a running rig is not reported.
         """
         for entry in self._collectors[topics.JOURNAL.name].entries(self._journal_read):
             self._journal_read += 1
@@ -594,12 +595,12 @@ class RosRig(RigDriver):
     def renew(self, config: RigConfig) -> None:
         """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
 
-        The nodes under test are ended, and a temporary recording is replaced by a new one. A recording in a directory
+        The nodes under test are ended, and a recording of `record=True` is replaced by a new one. One in a directory
         that the user chose is finished, and no new one begins. Between two tests, this is faster than to start new
         processes.
 
         Args:
-            config: new configuration of the rig, without the settings that `restart` leaves unchanged.
+            config: new configuration of the rig; settings that `restart` leaves unchanged are not applied.
 
         Raises:
             ImpactRigError: a node of the rig has ended or does not answer.
@@ -685,7 +686,7 @@ class RosRig(RigDriver):
             self.client.trigger(f"{self._recorder}/stop")
 
     def save(self, directory: str | Path) -> Path:
-        """Finish the recording, and copy it with the logs of the nodes; the rig cannot be used after that.
+        """Finish the recording, and copy it with the logs of the nodes; nothing is recorded after that.
 
         Args:
             directory: directory of the copy, which must not exist yet.

@@ -31,7 +31,7 @@ GAP_M = 6e-3
 def make_sample(directory: Path) -> Path:
     """Record the sample run into `directory`, unless a complete one is there, and return `directory`.
 
-    What is in the directory otherwise, such as the run of another version, is deleted.
+    A run is complete if it has all topics of `SAMPLE_TOPICS`. Anything else in the directory is deleted.
     """
     if directory.is_dir():
         try:

@@ -67,7 +67,7 @@ def write_fmu(config: RigConfig, path: Path, version: str = VERSIONS[0], kernels
             environment variable CC.
 
     Raises:
-        ConfigError: the rig cannot run without Python, see `snapshot`.
+        ConfigError: rig.c does not support this rig, see `snapshot`.
         ImpactRigError: the folder contains no kernels, or the C compiler is missing or fails.
         OSError: the file cannot be written.
     """

@@ -61,7 +61,7 @@ class BoardErrors:
 
 
 def draw_channel(random: Random) -> ChannelErrors:
-    """Draw the errors of one sensor at random, uniformly within their tolerances."""
+    """Draw the errors of one sensor at random, uniformly over the values that `ChannelErrors` allows."""
     gain, offset, total, difference = 2.0 * random.uniform(4) - 1.0
     return ChannelErrors(
         float(gain), float(offset), float(0.5 * (total + difference)), float(0.5 * (total - difference))
@@ -69,7 +69,7 @@ def draw_channel(random: Random) -> ChannelErrors:
 
 
 def draw_board(random: Random) -> BoardErrors:
-    """Draw the errors of the converter at random, uniformly within their tolerances."""
+    """Draw the converter's errors of gain and offset, relative to their tolerances: each uniformly from −1 to 1."""
     gain, offset = 2.0 * random.uniform(2) - 1.0
     return BoardErrors(float(gain), float(offset))
 

@@ -63,7 +63,7 @@ _LEFT_OVER = 4  # readings that wait for other channels: at most one, and one mo
 
 
 def sensors(config: InstrumentSetup) -> list[Sensor]:
-    """Return the models of the sensors that are scanned, in scan order, each with the board's anti-alias filter."""
+    """Return the models of the sensors that are scanned, in scan order, with the board's anti-alias filter, if any."""
     return [instrument.sensor().behind(config.instruments.adc) for instrument in config.instruments.fitted()]
 
 

@@ -294,7 +294,8 @@ class FaultBoard:
         """Apply the faults of a channel, except a stuck converter, to the volts on its cable, in place.
 
         `first` is the number of the first value's scan; `gain` [V/unit] and `zero` [V] are the sensor's nominal
-        sensitivity and output at zero. A dropout clears the flags in `clipped`, a saturation sets them.
+        sensitivity and output at zero. A dropout clears the flags in `clipped`, a saturation sets those of the values
+        that it limits.
         """
         for active in self._faults:
             if active.fault.channel == channel:

@@ -87,8 +87,9 @@ class Instrument:
         of the type float are computed again for each reading; all others are computed once, for the reading 0.
 
         Args:
-            reading: reading in the channel's unit.
-            clipped: whether the sensor or the converter was at an end of its range.
+            reading: low-passed reading at a monitor instant, in the channel's unit.
+            clipped: whether sensor or converter was at an end of its range in a scan between the monitor instants
+                before and after this one.
             noise: rms of the noise in the channel's unit, as in daq/info.
         """
         raise NotImplementedError

@@ -57,11 +57,11 @@ class PiecewiseMotion(Protocol):
     def polynomials(
         self, names: tuple[str, ...], tick: NDArray[np.int64], start_s: NDArray[np.float64], end_s: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the named quantities as polynomials on pieces between breakpoints, shape (names, n, NODES).
+        """Return polynomials that interpolate the named quantities on n pieces of time, shape (names, n, NODES).
 
-        Each piece lies in one tick, from `start_s` to `end_s` after its start. The last axis holds the coefficients of
-        x^0, x^1, …, with x = −1 at the start of the piece and 1 at its end. `arithmetic.interpolation.polynomials`
-        computes them from `quantities`.
+        Each piece lies in one tick, from `start_s` to `end_s` after its start, and may contain breakpoints that are
+        close together. The last axis holds the coefficients of x^0, x^1, …, with x = −1 at the start of the piece and 1
+        at its end. `arithmetic.interpolation.polynomials` can compute them from `quantities`.
         """
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -164,7 +164,7 @@ def through_piece(
     """Advance the modes of a channel through a piece; fill `out` with the sensor's output at the conversions in it.
 
     Args:
-        modes: modes of one channel.
+        modes: modes of one channel, to which `set_period` has applied the time between conversions.
         coefficients: coefficients of the polynomial S, the input: of x^0, x^1, … with x = −1 … 1 on the piece, shape
             (NODES,).
         length: length of the piece [s].
@@ -224,10 +224,10 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 
 @kernel
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
-    """Add a mode's free response to the outputs at a piece's conversions, until it is lost in the rounding.
+    """Add a mode's free response to `out`, the outputs at a piece's conversions, at most to the first `rings_for`.
 
-    `largest` is the magnitude of the output without free responses. Nothing is added if the free response is smaller
-    than the rounding error of `largest` from the start.
+    `largest` is the magnitude of the output without free responses. Nothing is added if the free response at the first
+    conversion is below the rounding error of `largest`.
     """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

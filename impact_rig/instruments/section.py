@@ -118,7 +118,7 @@ _COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
-    """Interface of a configuration from which instruments can be made: the sections used, as in `RigConfig`."""
+    """Interface of a configuration from which instruments are made: five of the sections of a `RigConfig`."""
 
     @property
     def daq(self) -> Daq:
@@ -130,11 +130,11 @@ class InstrumentSetup(Protocol):
 
     @property
     def drive(self) -> Drive:
-        """Section `drive` of the configuration, whose end frequency of a chirp limits the sensors' time steps."""
+        """Section `drive`; the end frequency of a chirp limits the length of the pieces into which a motion is cut."""
 
     @property
     def shaker(self) -> Shaker:
-        """Section `shaker` of the configuration, for the highest frequency that can be commanded."""
+        """Section `shaker`; its highest frequency limits the length of a motion's pieces, and calibration sines."""
 
     @property
     def structure(self) -> Structure:

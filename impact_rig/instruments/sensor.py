@@ -168,7 +168,7 @@ def _distinct(poles: tuple[Complex, ...]) -> list[Complex]:
 @functools.lru_cache
 @with_70_digits
 def lag(time_constant_s: float) -> Transfer:
-    """Return the transfer function 1 / (1 + τ s) of a first-order lag, with τ = `time_constant_s`."""
+    """Return the transfer function 1 / (1 + τ s) of a first-order lag, with τ = `time_constant_s` > 0."""
     rate = ONE / Decimal(time_constant_s)
     return Transfer((), (Complex(-rate),), rate)
 
@@ -183,7 +183,7 @@ def high_pass(corner_hz: float) -> Transfer:
 @functools.lru_cache
 @with_70_digits
 def butterworth(order: int, corner_hz: float) -> Transfer:
-    """Return the transfer function of a Butterworth low-pass: unit gain at zero frequency, −3 dB at the corner."""
+    """Return the transfer function of a Butterworth low-pass, order >= 1: gain 1 at 0 Hz, −3 dB at the corner."""
     omega = TWO * pi() * Decimal(corner_hz)
     upper = [unit(pi() * (2 * k + order + 1) / (2 * order)) for k in range(order // 2)]
     poles = [Complex(omega) * pole for one in upper for pole in (one, one.conjugate())]
@@ -261,12 +261,12 @@ class Sensor:
 
     @property
     def half_range(self) -> float:
-        """Half of the sensor's measuring range [unit]."""
+        """Half the distance from `low` to `high` [unit]."""
         return 0.5 * (self.high - self.low)
 
     @property
     def middle(self) -> float:
-        """Middle of the sensor's measuring range [unit]."""
+        """Middle between `low` and `high` [unit]."""
         return 0.5 * (self.high + self.low)
 
     def measuring_range(self) -> tuple[float, float]:

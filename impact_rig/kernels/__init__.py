@@ -54,7 +54,7 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class Array(NamedTuple):
-    """Declared type of an argument of a kernel: an array in C order.
+    """Type of an argument, as `entry` takes it: an array in C order.
 
     Attributes:
         dtype: type of its elements.
@@ -66,7 +66,7 @@ class Array(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """Declared type of an argument of a kernel: a NamedTuple.
+    """Type of an argument, as `entry` takes it: a NamedTuple.
 
     Attributes:
         of: class of the tuple.
@@ -78,7 +78,7 @@ class Fields(NamedTuple):
 
 
 class RecordType(NamedTuple):
-    """Declared type of an argument of a function that only kernels call: one record, passed by its address.
+    """Type of an argument of a `Function`, which only kernels call: one record, passed by its address.
 
     Attributes:
         dtype: type of the record.
@@ -88,7 +88,7 @@ class RecordType(NamedTuple):
 
 
 class Function(NamedTuple):
-    """Declared type of an argument of a kernel: a compiled function, passed as a `Pointer`.
+    """Type of an argument, as `entry` takes it: a compiled function, passed as a `Pointer`.
 
     Attributes:
         arguments: types of its arguments.
@@ -122,8 +122,8 @@ class Entry(NamedTuple):
 
     Attributes:
         function: the function in Python.
-        arguments: type of each argument: int, float, bool, an Array, a record type for an array of such records,
-            Fields, or a Function.
+        arguments: type of each argument: int, float, bool, an Array, a structured NumPy dtype for an array of such
+            records, Fields, or a Function.
         returns: int, bool, a tuple of these, or None.
     """
 
@@ -328,17 +328,18 @@ def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
 
 
 def codes(kind: Any) -> str:
-    """Return the letters that stand for numbers of these types in the text that `plan` returns; empty for None."""
+    """Return the letter of a type, as in `plan`: `i` int, `b` bool, `f` float; of a tuple all letters, of None none."""
     if kind is None:
         return ""
     return "".join(map(codes, kind)) if isinstance(kind, tuple) else {int: "i", bool: "b", float: "f"}[kind]
 
 
 def records(count: int, kind: np.dtype[np.void]) -> Any:
-    """Return `count` records of zeros for kernels; `records[i].field` reads and writes in place.
+    """Return `count` records of zeros for kernels, which read and write a field as `records[i].field`.
 
-    Plain Python needs a recarray for that. Compiled code also accepts an ordinary array, and passing that takes a third
-    of the time. A field must not have the name of an attribute of NumPy's scalars (real, put, round, …).
+    Code outside kernels uses `records["field"][i]`: only in mode `plain` the result is a recarray. Compiled code also
+    accepts an ordinary array, and passing that takes a third of the time. An assertion rejects a field that has the
+    name of an attribute of NumPy's records (real, put, round, …).
     """
     assert _has_free_names(kind)
     return for_kernels(np.zeros(count, kind))

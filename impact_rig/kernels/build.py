@@ -123,8 +123,8 @@ def compiler() -> list[str]:
 def symbol(name: str) -> str:
     """Return the name of a kernel in C: `physics.event_loop.run` is `ir_physics_event_loop_run_slots`.
 
-    The suffix `_slots` says that the arguments are passed in slots (library.c). An exported force function takes its
-    arguments directly, so its name has no suffix.
+    The suffix `_slots` says that the arguments are passed in slots (library.c). A name that begins with `force.` gets
+    no suffix, because exported force functions take their arguments directly.
     """
     plain = f"ir_{name.replace('.', '_')}"
     return plain if name.startswith("force.") else f"{plain}_slots"
@@ -181,7 +181,7 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
 
 
 def translated(folder: Path) -> Path:
-    """Write the translated kernels of the present sources into `folder`, unless it contains them, and return `folder`.
+    """Translate the present kernels to LLVM code in `folder`, unless it contains that already, and return `folder`.
 
     Raises:
         SystemExit: the pinned version of Numba is not installed, or the translation fails.
@@ -214,7 +214,7 @@ def write_assembly(keep: Path, folder: Path) -> None:
     """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
     There is one file for each part of the kernels and each machine of `RELEASED`; `folder` must not exist yet. `keep`
-    is the folder of the translated kernels: those missing there are translated into it, see `translated`.
+    is the folder for the translated kernels, see `translated`.
     """
     found = translated(keep)
     folder.mkdir()
@@ -299,7 +299,7 @@ def _check_numba() -> None:
 
 
 def _translate_all(work: Path) -> None:
-    """Translate all parts of the kernels into `work`, in parallel processes, and print the progress.
+    """Translate all parts of the kernels to LLVM code in `work`, in parallel processes, and print the progress.
 
     Raises:
         SystemExit: a part failed; its own messages are on stderr.

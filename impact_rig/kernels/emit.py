@@ -42,7 +42,11 @@ class Target(NamedTuple):
 
 
 def target(machine: str) -> Target:
-    """Return the target for a machine, named as by `platform.machine`, or for `wasm32` (WebAssembly)."""
+    """Return the target for a machine, named as by `platform.machine`, or for `wasm32` (WebAssembly).
+
+    Raises:
+        SystemExit: kernels are not supported on such a machine.
+    """
     if machine == WASM:
         return Target("wasm32-unknown-unknown", "mvp", WASM_FEATURES, "static")
     system = "apple-macosx11.0" if sys.platform == "darwin" or machine == "arm64" else "unknown-linux-gnu"

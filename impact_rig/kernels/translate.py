@@ -97,7 +97,7 @@ def main() -> None:
 
 
 def part_of(name: str) -> str:
-    """Return the part of the kernels (`mechanics` or `instruments`) to which the entry with this name belongs."""
+    """Return the part of the kernels with this entry: `mechanics` in physics, arithmetic, rig; else `instruments`."""
     return "mechanics" if name.startswith(("physics.", "arithmetic.", "rig.")) else "instruments"
 
 

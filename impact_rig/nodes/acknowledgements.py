@@ -221,7 +221,7 @@ class AckWindow:
         """Drop the acknowledgements of a reader that no longer subscribes.
 
         If the reader is a peer, a node of this name remains a peer: the rig waits for a new node to acknowledge the
-        blocks that the former node has not acknowledged.
+        blocks that the former node has not acknowledged, unless that one was waived (see `waive`).
         """
         reader = self._readers.pop(name)
         if name in self.peers:
@@ -236,7 +236,8 @@ class Readers:
 
     A message that is sent before a peer is connected is lost to that peer. The graph lists a subscription before the
     publisher is matched (connected) with it, and the publisher knows only the number of its matches. Therefore the
-    peers in the graph count as connected once the publisher has a match for every compatible subscription there.
+    peers in the graph count as connected once the publisher has a match for every compatible subscription there. Nodes
+    are distinguished by their names without namespace.
     """
 
     def __init__(self, node: Node, publisher: Any) -> None:
@@ -286,7 +287,7 @@ class Readers:
         return not self._missing
 
     def knows(self, name: str) -> bool:
-        """Return whether a node of this name subscribes to the publisher's topic.
+        """Return whether a node of this name (without namespace) subscribes to the publisher's topic.
 
         Before False is returned, the graph is queried again, unless the last query is less than 0.5 s old and the
         number of matches is the same.

@@ -107,7 +107,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         )
 
     def deactivate(self) -> None:
-        """Publish the results of measurements in progress, and acknowledge the last processed blocks of scans."""
+        """Publish the last results (`Tracker.flush`), and acknowledge the last processed blocks of scans.
+
+        The last results include delayed rows, but no extra row for a response that is still settling.
+        """
         tracker, self._tracker = self._tracker, None
         try:
             if tracker is not None and self.context.ok():
@@ -116,7 +119,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
             self._acknowledgements.flush()
 
     def settings_changed(self, settings: AnalysisSettings, changes: dict[str, Any]) -> None:
-        """Apply a new gap label to the scans after the newest one received; an inactive node only stores its settings.
+        """Apply a new gap label from the newest scan received on; an inactive node only stores its settings.
 
         Raises:
             ConfigError: another setting would change while the node is active; deactivate it first.

@@ -153,7 +153,7 @@ WARN_PERIOD_S = 1.0  # minimum interval between two warnings with the same reaso
 
 
 class Level(enum.IntEnum):
-    """Levels of `diagnostic_msgs/DiagnosticStatus`, in order of severity."""
+    """Levels OK, WARN and ERROR of `diagnostic_msgs/DiagnosticStatus`, in ascending order of severity."""
 
     OK = 0
     WARN = 1
@@ -777,7 +777,8 @@ class LateService:
 
     Args:
         on_request: called with each request, the system time at which it was sent [ns], and a function that sends its
-            response. It must not raise. Without a time from the middleware, it is the time of receipt.
+            response, to be called once. `on_request` must not raise. If the middleware gives no time of sending, the
+            time is that of receipt.
     """
 
     def __init__(

@@ -87,6 +87,7 @@ def message_class(type_name: str) -> Any:
 
     Raises:
         ImportError, AttributeError: the package is not installed, or lacks this type.
+        ValueError: `type_name` does not have three parts.
     """
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -116,12 +116,12 @@ class Pacer:
 
 
 class WorkTimer:
-    """Timer that calls back when blocks of scans become due: with a period and a phase, on the monotonic clock.
+    """Timer with a period and a phase on the monotonic clock, so that calls can come when blocks of scans become due.
 
     A timer of rclpy first fires one period after its creation, so a block would wait up to one period after its end.
-    Therefore a one-shot timer first waits until a block is due, and then starts the periodic timer. The phase drifts if
-    the periods of timer and blocks differ by fractions of a nanosecond. After 100 calls in a row that were late by more
-    than a tenth of a period, the timer is started again in phase.
+    Therefore a one-shot timer makes the first call, and then starts the periodic timer. The phase drifts if the periods
+    of timer and blocks differ by fractions of a nanosecond. After 100 calls in a row that were late by more than a
+    tenth of a period, `keep_in_step` starts the timer again in phase.
     """
 
     def __init__(self, node: ManagedNode[Any], callback: Callable[[], None]) -> None:

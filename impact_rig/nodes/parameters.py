@@ -52,8 +52,8 @@ class Proposal(Generic[S]):
     """Change of parameters that the validator has accepted and that is not applied yet.
 
     Attributes:
-        stored: the requested parameters, some perhaps with their present values, as ROS will store them; without those
-            that `check` ignores.
+        stored: the requested parameters as ROS will store them, without those that `check` ignores. A client may have
+            requested the value that a parameter has already.
         settings: all parameters of the node after the change, as one object.
         changes: only the values that differ from the present ones, by name.
     """
@@ -111,14 +111,14 @@ class Parameters(Generic[S]):
             return self._tree.root()
 
     def check(self, wanted: list[Parameter]) -> Proposal[S]:
-        """Validate a change of these parameters, and return all settings that would result; nothing is changed.
+        """Validate a change of these parameters, and return it as a `Proposal`; nothing is changed.
 
-        A read-only parameter with its present value is accepted and ignored, as `ros2 param load` sends all values of a
-        dump.
+        A read-only or text parameter that would keep its value is ignored, as `ros2 param load` sends all values of a
+        dump. Values of rclpy's own parameters (`FOREIGN`) are not validated, except `use_sim_time`.
 
         Raises:
             ConfigError: a name is unknown, a read-only parameter would change, a value is invalid, or values contradict
-                each other.
+                each other. Or `use_sim_time` would be true in a node that publishes the clock.
         """
         changes: dict[str, object] = {}
         wanted = [parameter for parameter in wanted if not self._unchanged(parameter)]
@@ -157,9 +157,9 @@ class Parameters(Generic[S]):
 def set_one_by_one(messages: list[Any], attempt: Attempt) -> list[SetParametersResult]:
     """Set parameters one by one, as ROS does, and return one result for each message, in the given order.
 
-    A rejected value is tried again as long as another value has been accepted since, so all are accepted if any order
-    allows it. For example, `ros2 param load` sends a file sorted by name, so a new drive frequency precedes the shaker
-    limit that allows it.
+    A rejected value is tried again as long as another value has been accepted since, so it may precede the value that
+    makes it valid. For example, `ros2 param load` sends a file sorted by name, so a new drive frequency precedes the
+    shaker limit that allows it.
 
     Args:
         messages: parameters as ROS messages.

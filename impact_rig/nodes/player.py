@@ -100,8 +100,8 @@ class Player:
         paused: whether playback starts paused, until the service `~/pause` is called with `false`.
 
     Raises:
-        RecordingError: a chosen topic is not in the run, the run has no daq/scan, or it contains a topic name or time
-            that ROS does not allow.
+        RecordingError: a chosen topic is not in the run, the run has no daq/scan, none of its several rigs was chosen,
+            or it contains a topic name or time that ROS does not allow.
         ImpactRigError: `factor` is None without a peer, `chosen` lacks the daq/scan that peers acknowledge, or a
             message type is not installed.
     """
@@ -163,6 +163,7 @@ class Player:
         Raises:
             RecordingError: a chunk of the run is damaged, or a message is more than an hour of rig time later than the
                 one before; the messages before it were published.
+            CodecError: a message on daq/scan has no valid header.
             ImpactRigError: a peer acknowledged nothing for 10 s of wall time although blocks were outstanding.
         """
         self.now_ns = self.start_ns

@@ -58,8 +58,8 @@ EXECUTOR_VARIABLE = "IMPACT_RIG_EXECUTOR"
 def make_executor(context: Any = None) -> Any:
     """Return a new executor for a ROS context (default: the global one), of the kind that needs least processor time.
 
-    It is an events executor, unless this rclpy has none or `IMPACT_RIG_EXECUTOR` is `default`; then it is rclpy's
-    default executor.
+    It is an events executor, unless this version of rclpy has none or is not supported, or `IMPACT_RIG_EXECUTOR` is
+    `default`; then it is rclpy's default executor.
     """
     if os.environ.get(EXECUTOR_VARIABLE, "") != "default":
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
@@ -105,7 +105,7 @@ def patient_threads() -> Iterator[None]:
 
 
 def run(make_node: Callable[[], ManagedNode[Any]], ending: Ending) -> int:
-    """Create a node, run its callbacks until a signal or a shutdown ends it, and clean up.
+    """Create a node, run its callbacks until a signal, a shutdown of ROS or `node.quitting` ends it, and clean up.
 
     Args:
         make_node: creates the node.

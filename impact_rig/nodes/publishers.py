@@ -105,7 +105,7 @@ class Monitors:
         """Yield (topic, CDR bytes) of the monitor messages that are ready after this block, in order within each topic.
 
         Readings pass a low-pass filter, so they are published four monitor periods after the time in their stamp. The
-        true joint states are not filtered.
+        true joint states, and readings at the full scan rate, are not filtered.
 
         Args:
             block: next block of the rig; pass every block in order, otherwise the low-pass filter starts again.
@@ -192,7 +192,7 @@ class Publishers:
     def names(self) -> list[str]:
         """Return the names of the topics that this rig publishes now and that no other node may publish.
 
-        These are all but `robot_description`. The names are relative to the rig's namespace, as in `topics`.
+        These are all but `robot_description`. Except `/clock`, the names are relative to the rig's namespace.
         """
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
@@ -211,11 +211,12 @@ class Publishers:
         }
 
     def block(self, block: Block) -> None:
-        """Publish all messages of a block, its scans last: a subscriber that has the scans has the complete block.
+        """Publish the messages of a block, its scans last: a subscriber that has the scans has the complete block.
 
-        Peers acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. If an instrument
-        fault withholds the scans of a block, only its other messages are published. All messages are rendered before
-        the first is sent, because sending evicts the data needed for rendering from the processor's caches.
+        Topics without a subscriber at the last `poll` are left out, except the scans and latched topics. Peers
+        acknowledge blocks by their scans, so a recorder's acknowledgement covers all topics. If an instrument fault
+        withholds the scans of a block, only its other messages are published. All messages are rendered before the
+        first is sent, because sending evicts the data needed for rendering from the processor's caches.
         """
         assert self._monitors is not None
         rendered = {
@@ -305,9 +306,9 @@ class Publishers:
             self._node.outputs[topic.name].wait_for_all_acked(DELIVERY)
 
     def forget(self) -> None:
-        """Forget what was published before, because a new rig starts.
+        """Make the next `configuration` publish the calibration even if it is the same, because a new rig starts.
 
-        The next `configuration` publishes the calibration even if it is the same, and the next `poll` checks at once.
+        The next `poll` checks at once.
         """
         self._info = b""
         self._polled_at = -GRAPH_POLL_S
@@ -324,10 +325,10 @@ class Publishers:
 
 
 def _may_overflow(config: RigConfig) -> bool:
-    """Return whether the blocks that may be unacknowledged can contain more messages than a subscriber's queue holds.
+    """Return whether the blocks that may be unacknowledged can contain more than `QUEUE` messages.
 
-    If so, the rig waits for delivery after each `QUEUE` messages, which the queue certainly holds. The result is False
-    in real time, where the rig does not wait for acknowledgements.
+    The middleware can certainly hold `QUEUE` messages to one process. If there are more, the rig waits for delivery
+    after each `QUEUE`. The result is False in real time, where the rig does not wait for acknowledgements.
     """
     if config.time.mode == "realtime":
         return False

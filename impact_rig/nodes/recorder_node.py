@@ -105,10 +105,10 @@ class RecorderSettings:
 class RecorderNode(ManagedNode[RecorderSettings]):
     """Lifecycle node that writes runs and acknowledges blocks of scans.
 
-    While it records, it acknowledges a block after writing it to the file; otherwise at once. An acknowledgement covers
-    all earlier blocks on all topics. A recorder that has lost a message of the rig therefore sends none until ~/stop is
-    called; one whose recording failed sends none until ~/start or ~/stop. A rig that waits for this recorder then
-    stops, and names it in its diagnostics.
+    While it records, it acknowledges a block only after writing it to the file. An acknowledgement covers all earlier
+    blocks on all topics. A recorder that has lost a message of the rig therefore sends none until ~/stop is called; one
+    whose recording failed sends none until ~/start or ~/stop. A rig that waits for this recorder then stops, and names
+    it in its diagnostics.
     """
 
     COMPONENT = "recording"
@@ -142,7 +142,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         self.service(Trigger, "~/stop", self._on_stop)
 
     def configure(self) -> None:
-        """Check that the message types of all recorded topics are installed; create the publisher of `daq/ack`."""
+        """Check that all recorded message types have a definition to store; create the publisher of `daq/ack`."""
         for type_name in {topic.type_name for topic in TOPICS if topic.recorded}:
             schema_text(type_name)
         environment()  # cached here, while no rig waits
@@ -275,10 +275,11 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         done(not self._failure, self._failure or stopped)
 
     def _start(self, patiently: bool = False) -> None:
-        """Request a run, which is opened once the configuration of the rig has arrived, because a run stores it first.
+        """Request a run, which is opened when the newest configuration of the rig is `QUIET_S` old.
 
-        If none arrives within `configuration_wait_s`, the run is opened without. This time counts from now; if
-        `patiently`, it counts from the appearance of a publisher of scans, and there is no limit to the wait for that.
+        A run stores the configuration first. If none arrives within `configuration_wait_s`, the run is opened without.
+        This time counts from now; if `patiently`, it counts from the appearance of a publisher of scans, and there is
+        no limit to the wait for that.
         """
         self._failure = ""
         self._waiting = True
@@ -375,7 +376,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             writer.finish()
 
     def _leave_run(self) -> RunWriter | None:
-        """End the subscriptions of the current run; return its writer, which the caller must close.
+        """End the subscriptions of the current run, except to scans; return its writer, which the caller must close.
 
         It returns None if no run is open.
         """

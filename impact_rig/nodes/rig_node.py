@@ -53,7 +53,7 @@ class RigNode(ManagedNode[RigConfig]):
         self._standard = StandardServices(self._session)
 
     def complete(self, settings: RigConfig) -> RigConfig:
-        """Return the settings with the node's namespace as prefix of the frame names, unless they have a prefix."""
+        """Return the settings with `output.frame_prefix` made from the node's namespace, unless it is set already."""
         prefix = graph.frame_prefix(self.get_namespace(), settings.output.frame_prefix)
         return attrs.evolve(settings, output=attrs.evolve(settings.output, frame_prefix=prefix))
 
@@ -64,8 +64,8 @@ class RigNode(ManagedNode[RigConfig]):
     def configure(self) -> None:
         """Check that the rig can be built, load compiled code, create the publishers, and wait until discovery is over.
 
-        If the lock file shows every other rig of the namespace, there is no need to wait. Another rig is no error here:
-        once active, the node waits until that rig has ended.
+        It does not wait if a lock file would show any other rig of the namespace. Another rig is no error here: once
+        active, the node waits until that rig has ended.
 
         Raises:
             ConfigError: the rig cannot be built; the transition fails with this message.
@@ -79,7 +79,8 @@ class RigNode(ManagedNode[RigConfig]):
     def activate(self) -> None:
         """Start the rig as soon as no other rig is in this namespace and, in real time, its peers have subscribed.
 
-        The wait for peers ends after `time.start_wait_s`. This method does not wait: a timer starts the rig later.
+        The wait for peers ends after `time.start_wait_s`. This method does not wait: if the rig cannot start at once, a
+        timer starts it later.
         """
         self._session.activate()
 

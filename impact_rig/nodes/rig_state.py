@@ -156,7 +156,8 @@ class RigState:
     def _problems(self, rig: Rig) -> Iterator[Problem]:
         """Yield the problems of a started rig.
 
-        Those that cause a state are ordered by severity, the most severe first; the others are in no order.
+        Those that cause a state are in the order of `states.RigWord`, the most severe first. The others can be
+        anywhere among them.
         """
         session, words, readers = self._session, states.RigWord, self._session.readers
         timing, daq, realtime = self._node.settings.time, self._node.settings.daq, session.is_realtime

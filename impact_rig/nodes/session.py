@@ -18,8 +18,8 @@ ms by default. In the time mode `realtime`, the clock decides which blocks are d
 the slowest peer do. In lockstep or while paused, only requested steps are due.
 
 A namespace of a ROS domain belongs to one rig at a time. The ROS graph shows another rig only after seconds if the
-announcement of that rig is missed. A lock file shows it at once, but only on this machine. If discovery is limited to
-this machine, the lock suffices, and the rig starts without waiting.
+announcement of that rig is missed. A lock file shows it at once, but only if it is a rig of the same user and machine.
+If discovery is limited to this machine, the lock suffices, and the rig starts without waiting.
 """
 
 from __future__ import annotations
@@ -63,8 +63,9 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
     """Return whether ROS discovery is certainly limited to this machine, so that no rig on another machine interferes.
 
     Args:
-        environment: environment variables.
-        middleware: name of the ROS middleware, such as `rmw_fastrtps_cpp`.
+        environment: environment variables. `ROS_AUTOMATIC_DISCOVERY_RANGE` must be `LOCALHOST` or `OFF`;
+            `ROS_STATIC_PEERS` and `ROS_DISCOVERY_SERVER` must be empty or not set.
+        middleware: name of the ROS middleware, which must be in `OBEDIENT`.
     """
     near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
     far = environment.get("ROS_STATIC_PEERS") or environment.get("ROS_DISCOVERY_SERVER")
@@ -72,14 +73,14 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
 
 
 class NamespaceLock:
-    """Lock file that a rig holds for its ROS domain and namespace, so that a second rig on this machine is detected."""
+    """Lock file that a rig holds for its ROS domain and namespace, to detect a second rig of this user and machine."""
 
     def __init__(self, node: Node) -> None:
         self._name = files.place(node.context.get_domain_id(), node.get_namespace())
         self._held: int | None = None
         here = ends_here(os.environ, get_rmw_implementation_identifier())
         self.decides = here and files.can_hold(files.PLACES, self._name)
-        """True if the lock shows any other rig in this namespace; False if only the ROS graph can show it.
+        """True if the lock shows any other rig of this user in the namespace; False if only the ROS graph can show it.
 
         It is False if rigs of other machines are possible, or no lock file can be used.
         """
@@ -109,8 +110,8 @@ class DuplicatePublishers:
 
     Args:
         node: node of this rig.
-        names: returns the names, relative to the rig's namespace as in `topics`, of the topics that this rig publishes
-            now and that no other node may publish.
+        names: returns the names of the topics that this rig publishes now and that no other node may publish, as
+            `Publishers.names` does.
     """
 
     def __init__(self, node: Node, names: Callable[[], Iterable[str]]) -> None:
@@ -318,7 +319,10 @@ class Session:
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s
 
     def controllers(self) -> list[str]:
-        """Return the names, without namespace, of the nodes that publish samples of the drive, sorted."""
+        """Return the names, without namespace, of the nodes that can send samples of the drive, sorted.
+
+        These are the nodes with a publisher on `shaker/waveform`, whether they send any or not.
+        """
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(topics.WAVEFORM.name))
         return sorted({info.node_name for info in found})
 
@@ -341,7 +345,8 @@ class Session:
         """Start the rig as soon as no other rig publishes its topics or holds its namespace, at once if there is none.
 
         In real time, the rig also waits for its peers to subscribe to the scans, at most `time.start_wait_s`; then it
-        starts without those that are missing. This method does not wait: a timer starts the rig later.
+        starts without those that are missing. This method does not wait: if the rig cannot start at once, a timer
+        starts it later.
         """
         self.publishers.forget()
         self.duplicates = DuplicatePublishers(self.node, self.publishers.names)
@@ -554,11 +559,11 @@ class Session:
         return max(rig.next_block_ns, rig.frontier_ns - COMMAND_GRID_NS)
 
     def _run_ahead(self, rig: Rig, deadline: float) -> None:
-        """Publish as many blocks as peers and requested steps allow, until `deadline` [s of the monotonic clock].
+        """Publish as many blocks as peers, steps and samples allow, until `deadline` [s of the monotonic clock].
 
-        It serves all rigs except those that run in real time. Requests for steps are answered once the peers have
-        acknowledged all blocks of the steps, or with an error if a peer or the controller (the node that sends samples
-        of the drive) is silent.
+        It serves rigs outside of real time, and the steps of a paused rig in real time. Requests for steps are answered
+        once the peers have acknowledged all blocks of the steps, or with an error if a peer or the controller (the node
+        that sends samples of the drive) is silent.
         """
         daq, window = self.node.settings.daq, self.window
         by_steps = self.paused or self.is_lockstep
@@ -625,9 +630,10 @@ class Session:
     def step(self, steps: int, done: Done) -> None:
         """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
-        `done` is called with success when every peer has acknowledged all blocks of the steps, or with an error if a
-        peer or the drive's samples fail to arrive, or if the rig is reset or deactivated meanwhile. Resuming the rig
-        ends the steps with an error, too, except in lockstep, where they continue.
+        `done` is called with success when every peer has acknowledged all blocks of the steps. It is called with an
+        error if a peer does not subscribe or acknowledge, or samples of the drive are missing, for longer than
+        `time.peer_timeout_s`, and if the rig is reset or deactivated meanwhile. Resuming the rig ends the steps with an
+        error, too, except in lockstep, where they continue.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()
@@ -653,10 +659,11 @@ class Session:
     def resume(self, done: Done) -> None:
         """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
 
-        The rig does not wait for peers that are silent now until they acknowledge again. If the controller is silent,
-        its stream ends after the samples that have arrived. Waiting requests to pause are answered with an error, and
-        so are those for steps unless the time mode is `lockstep`. A rig that is not paused and waits for neither is not
-        affected; `done` is called with success even then.
+        The rig does not wait for peers that are silent now until they acknowledge again. If all peers are silent, it
+        waits for them again after one more window of blocks. If the controller is silent, its stream ends after the
+        samples that have arrived. Waiting requests to pause are answered with an error, and so are those for steps
+        unless the time mode is `lockstep`. Without a pause, a silent peer or missing samples, only `done` is called,
+        with success.
 
         Raises:
             CommandError: no rig has started.

@@ -196,12 +196,12 @@ def _end_at(p: Record, law: CompiledForce, s: Record, step: Record, event: int) 
 
 @kernel
 def _first_event(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Shorten the step solved last to the first event that it passed; return that event, NOTHING or FAILED.
+    """Shorten the step solved last to the first event that it passed; return that event, or NOTHING, or FAILED.
 
-    NOTHING means that the step passed no event. FAILED means that the shortened step is not exact enough, or that the
-    solution is false; the caller then tries a shorter step. In a true solution the sphere touches the wall during the
-    whole step. Near the end of a contact, and where the acceleration jumps, the equations of a long step have a second,
-    false solution: the indentation and the time collapse at once, or pass through zero and return.
+    NOTHING means that the step passed no event. FAILED means that the shortened step has no solution or is not exact
+    enough, or that the solution is false; the caller then tries a shorter step. In a true solution the sphere touches
+    the wall during the whole step. Near the end of a contact, and where the acceleration jumps, the equations of a long
+    step have a second, false solution: the indentation and the time collapse at once, or pass through zero and return.
     """
     ended = NOTHING
     for event in _IN_ORDER:
@@ -242,7 +242,7 @@ def _limit_length(s: Record, step: Record) -> float:
 
 @kernel
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Solve the next step of a contact and return the event at its end, NOTHING, or FAILED.
+    """Solve the next step of a contact; return the event that ends it, NOTHING if none does, or FAILED.
 
     FAILED means that none of many lengths gave a valid step. `s.h` becomes the length of the solved step in χ (see this
     module), `s.next_h` the proposed length of the step after it. The rest of the state stays in place until `conclude`
@@ -272,7 +272,7 @@ def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 
 @kernel
 def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end: float) -> int:
-    """Prepare and solve the next step of the contact in the state s; return the event at its end, NOTHING or FAILED.
+    """Prepare and solve the next step of the contact in the state s; return what ends it, as `take_step` does.
 
     `t_end` is the end of the drive segment, since its start [s]. The state stays in place until `conclude` moves it.
     """

@@ -150,7 +150,8 @@ def pair_at(step: Record, since: float, y: Reals) -> None:
 def _integrate(step: Record, place: int, h: float) -> None:
     """Fill the correction z of one entry of the structural state y at the stages, by integrating its slopes dz/dχ.
 
-    `place` is the index of the entry in y, and h the step's length in χ. The slopes are `step.correction_slope`.
+    `place` is the index of the entry in y, and h the step's length in χ, with dt = √δ dχ. The slopes are
+    `step.correction_slope`.
     """
     slope, correction = step.correction_slope[place], step.correction[place]
     for i in range(STAGES):
@@ -165,7 +166,7 @@ def improve_correction(p: Record, step: Record, h: float) -> None:
     """Improve the correction z at the stages by one sweep of fixed-point iteration; each sweep adds an order in h.
 
     z is the small motion of the structure that the indentation causes through the force of the columns; h is the step's
-    length in χ.
+    length in χ. `solve` makes one sweep in each round of Newton's method.
     """
     z, slope, w = step.correction, step.correction_slope, step.w
     force_z = slope[X1]  # scratch until it is filled
@@ -255,8 +256,9 @@ def dense_slope(step: Record, x: float) -> float:
 def predict_speeds(s: Record, step: Record, h: float) -> None:
     """Fill `step.speed`, the speeds δ' at the stages of a step of length h from s, with a guess for Newton's method.
 
-    The dense output of the step before is extrapolated to at most 1.6 times its length. If that does not reach to the
-    end of this step, the guess is a straight line in χ with the slope at s.
+    The dense output stored last, of the step before or of this step if it is solved again, is extrapolated to at most
+    1.6 times its length. If it is dropped or does not reach to the end of this step, the guess is a straight line in χ
+    with the slope at s.
     """
     if step.dense_since + h <= _FAR * step.dense_length:
         x_start, x_length = step.dense_since / step.dense_length, h / step.dense_length

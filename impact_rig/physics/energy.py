@@ -45,7 +45,7 @@ def add_powers(p: Record, f: DriveSegment, y: Reals, t: float, weight: float, le
     """Add to the energies in `ledger` [J] the powers of drive, columns and shaker at one instant t, times `weight` [s].
 
     A quadrature calls this for each of its points t, in seconds since the start of the drive segment f. y is the
-    structural state at t. The motion of a prescribed base is not in y, and is computed from the drive.
+    structural state at t. The motion of a prescribed base is computed from the drive, not read from y.
     """
     u, u_rate = drive(f, t)
     x_b, v_b = (u, u_rate) if p.drive_kind == PRESCRIBED else (y[XB], y[VB])

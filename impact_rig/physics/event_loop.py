@@ -117,7 +117,7 @@ class Workspace(NamedTuple):
         step: one record of CONTACT_STEP.
         ledger: one record of LEDGER: energies, which the loop adds to.
         counts: one record of COUNTS: how many states, impacts, segments and ticks have been filled in.
-        history: records of STATE: the state at each event and at each step of a contact.
+        history: records of STATE: the state at the start of each segment, at each event and at each step of a contact.
         impacts: records of IMPACT: the finished contacts.
         first_state: for each segment of the drive the row of `history` with its first state, and at the end the number
             of rows.
@@ -280,7 +280,7 @@ def _bounce(
     It is attached if the wall would press it, judged by the `pair_acceleration` [m/s²] that sphere and superior base
     would have as one body, and if the rebound would be too slow. That is so up to `touch_speed`, and up to the speed of
     a rebound as high as the rounding of the positions, `position_rounding` [m]: such a sphere would touch again at
-    once, without end.
+    once, without end. Only a contact with an approach faster than `touch_speed` is appended to the impacts of `work`.
     """
     speed = max(0.0, side * s.d_rate)
     e = p.restitution
@@ -322,8 +322,9 @@ def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, 
 def _apply_tabulated(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> bool:
     """Complete a contact that has just begun, by its outcome in the law's table; return whether that was possible.
 
-    If the result is false, nothing has been done, and the caller integrates the contact in steps. If `account` is true,
-    a copy of the state is also integrated in steps, but only to compute the work of the drive and the losses.
+    If the result is false, the state is unchanged, and the caller integrates the contact in steps. The loss in the
+    contact comes from the table. If `account` is true, a copy of the state is integrated in steps as well, but only to
+    compute the drive's work and the losses in columns and shaker.
     """
     p, table = model.parameters[0], model.table[0]
     s, step = work.states[0], work.step[0]

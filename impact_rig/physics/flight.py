@@ -102,7 +102,7 @@ class DriveSegment(NamedTuple):
 
 @kernel
 def drive_segment(row: Record) -> DriveSegment:
-    """Return one record of SEGMENT as the tuple that kernels pass to one another."""
+    """Return one record of SEGMENT, without its duration, as the tuple that kernels pass to one another."""
     return DriveSegment(row.omega, row.phase, row.amplitude, row.growth, row.begin)
 
 
@@ -196,7 +196,8 @@ def safe_time(distance: float, speed: float, acceleration: float, jerk_bound: fl
     """Return a time [s], at most `longest`, before which a point certainly has not covered `distance` [m, >= 0].
 
     The docstring of this module explains the method. `speed` and `acceleration` are the present ones towards the
-    target, and `jerk_bound` is a limit of the jerk in either direction during this time.
+    target, and `jerk_bound` is a limit of the jerk in either direction during this time. At the distance 0 the result
+    is 0 for a point that moves towards the target, and > 0 for one that moves away from it.
     """
     half_acceleration = 0.5 * (acceleration + jerk_bound * longest / 3.0)  # the factor of t²
     if speed * longest + half_acceleration * longest * longest <= distance and (
@@ -334,7 +335,8 @@ def evaluate(system: Record, f: DriveSegment, flight: Record, t: float, order: i
 def rounding(p: Record, system: Record, flight: Record, t: float) -> float:
     """Return the rounding error [m] of a computed distance between sphere and wall at t, with a margin.
 
-    It is that of the largest terms of x_1. A bounce that is lower than this cannot be computed.
+    It is that of the largest terms of x_1. A bounce that is lower than this cannot be computed. t counts from the start
+    of the drive segment [s].
     """
     largest = p.half_gap + modulus(flight.steady[X1]) + modulus(flight.growing[X1]) * t
     for n in range(system.modes):

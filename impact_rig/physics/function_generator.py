@@ -194,7 +194,8 @@ class FunctionGenerator:
         """Set the time [s] that later changes of the amplitude take.
 
         A ramp that is under way starts again from the present amplitude with this time, but a ramp to zero only if it
-        then ends earlier. For a stream, the time is that of the ramp to zero at missing samples.
+        then ends earlier. A stream uses the time for the ramp to zero at missing samples as well. Such a ramp under way
+        always starts again, but the ramp after a stop does not change.
         """
         self._ramp_ticks = self._ticks_of(ramp_s)
         if self.stream is not None:

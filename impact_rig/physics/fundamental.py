@@ -135,7 +135,8 @@ def _integrate_acceleration(
 def follow_cycles(model: Model, trajectory: Trajectory, flights: Records, out: Reals) -> None:
     """Fill `out`, shape (segments, 6), with the six numbers of one CYCLE for each drive segment of the trajectory.
 
-    Each segment must be one complete cycle of the drive. `flights` is scratch memory, one record of FLIGHT.
+    These are real and imaginary part of X_b and of X_1, then x_2 and v_2 of the sphere at the start. Each segment must
+    be one complete cycle of the drive. `flights` is scratch memory, one record of FLIGHT.
     """
     p, system, flight = model.parameters[0], model.systems[SPHERE_LOOSE], flights[0]
     flight.omega = -1.0

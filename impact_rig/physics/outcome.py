@@ -102,7 +102,8 @@ def perturbed_contact(
     """Integrate one contact in units made of m_eff, v0 and t_0, under η_0 and `perturbations` = (η_1, η_2, α, γ).
 
     The docstring of this module defines these. Fills `out` with the contact's outcome, shape (OUTCOMES,), and returns
-    whether the sphere left the wall. `parameters`, `states` and `steps` are one record each, and are modified.
+    whether the sphere left the wall at zero indentation (SEPARATED). If it did not, or a step has no solution, `out` is
+    not valid. `parameters`, `states` and `steps` are one record each, and are modified.
     """
     p, s, step = parameters[0], states[0], steps[0]
     eta_1, eta_2, gamma = perturbations[0], perturbations[1], perturbations[3]
@@ -257,7 +258,10 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 
 
 def _nodes(limits: tuple[float, float], count: int) -> list[float]:
-    """Return the `count` values of η_0 within `limits` at which a Chebyshev series of as many terms is determined."""
+    """Return the `count` values of η_0 within `limits` at which a Chebyshev series of as many terms is determined.
+
+    η_0 is the dimensionless acceleration that presses sphere and wall together at the touch.
+    """
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     return [middle + half * sincos(PI * (j + 0.5) / count)[1] for j in range(count)]
 
@@ -322,8 +326,8 @@ def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_
 def apply_outcome(p: Record, table: Record, s: Record, step: Record, t_0: float) -> None:
     """Move the state s from the touch to the end of its contact, by the outcome that `look_up` stored in the table.
 
-    Duration, impulse, peak force, largest indentation and lost energy of the contact are set in s as well. `t_0` is the
-    contact's time scale [s].
+    Duration, impulse, peak force, largest indentation and lost energy of the contact are set in s as well. `step` must
+    be expanded about s, as for `look_up`, and `t_0` is the contact's time scale [s].
     """
     found, speed = table.outcome, s.speed
     delta_0 = speed * t_0

@@ -201,7 +201,7 @@ class SamplingWorkspace(NamedTuple):
         step: one record of CONTACT_STEP.
         steps: records of STATE: the states at the steps of a tabulated contact; the last record is for the state at its
             start.
-        polynomials: Taylor polynomial of each quantity, shape (QUANTITIES, PIECE_TERMS).
+        polynomials: Taylor polynomials, one row for each wanted quantity in use, shape (QUANTITIES, PIECE_TERMS).
         quantities: all quantities at one instant, shape (QUANTITIES,).
         powers: factors (λ half)^k / k! of a Taylor series, see `_add_series`: first their real, then their imaginary
             parts, shape (2, PIECE_TERMS).
@@ -209,7 +209,7 @@ class SamplingWorkspace(NamedTuple):
         pulse_row: row of the history where that contact begins, −1 for none; shape (1,).
         tick: tick of each of a piece's nodes, shape (NODES,).
         offset: time of each node since its tick's start [s], shape (NODES,).
-        values: all quantities at a piece's nodes, shape (QUANTITIES, NODES).
+        values: values at a piece's nodes, one row for each wanted quantity in use, shape (QUANTITIES, NODES).
     """
 
     flight: NDArray[np.void]
@@ -348,7 +348,10 @@ def _expand_flight(
 
 @kernel
 def _is_of_structure(p: Record, quantity: int) -> bool:
-    """Return whether a quantity is a motion of the structure or its drive, and so has a Taylor polynomial in flight."""
+    """Return whether a quantity has a Taylor polynomial in flight: a motion of a base, or the current of a coil.
+
+    The current has none if the base is prescribed, because there is no coil then.
+    """
     of_sphere = quantity in (OF_X_2, OF_V_2, OF_A_2, OF_FORCE_LEFT, OF_FORCE_RIGHT)
     return not (of_sphere or (quantity == OF_CURRENT and p.drive_kind == PRESCRIBED))
 
@@ -431,7 +434,7 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 
 @kernel
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
-    """Return the length, in the variable χ, of a shorter step of a contact that lasts about `since` seconds.
+    """Return the length, in the variable χ, of the part of a contact's step that lasts about `since` seconds.
 
     It is found from the dense output of the whole step `step`, which begins at the state `s`. `end_point`, the end of
     the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ, in SI units.
@@ -457,7 +460,7 @@ def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, flo
 def _solve_up_to(
     model: Model, s: Record, step: Record, end_point: tuple[float, float, float], since: float
 ) -> tuple[float, float]:
-    """Return (w, δ') in a contact's step, `since` seconds after its start, by solving a shorter step that ends there.
+    """Return (w, δ') `since` seconds after the start of a contact's step, by solving a shorter step that ends there.
 
     `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ.
     """
@@ -627,8 +630,8 @@ def _rows_at(trajectory: Trajectory, tick: int, offset: float) -> tuple[int, int
 def sample(model: Model, trajectory: Trajectory, workspace: SamplingWorkspace, query: Query) -> bool:
     """Fill `query.out` with the quantities at the instants; return whether the trajectory contains all their ticks.
 
-    If not, the values from the first instant outside the trajectory on are not filled in. Consecutive instants in the
-    same flight or step of a contact are evaluated together.
+    If not, the values from the first instant outside the trajectory on are not filled in. The instants may be in any
+    order; consecutive ones in the same flight or step of a contact are evaluated together.
     """
     workspace.flight[0].omega = -1.0
     return _sample(model, trajectory, query, workspace)
@@ -792,8 +795,8 @@ def _fit_pulse(
 def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, workspace: SamplingWorkspace) -> None:
     """Fill `workspace.values` with the quantities at the nodes of piece i by sampling them one by one.
 
-    `fit` uses this if no faster way is possible: the piece contains parts of several flights or steps, is too long, or
-    the sphere's motion or a force is wanted in flight.
+    `fit` uses this if no faster way is possible: for example, if the piece contains parts of several flights or steps,
+    or if the sphere's motion or a force is wanted in flight.
     """
     middle, half = 0.5 * (spans.start[i] + spans.end[i]), 0.5 * (spans.end[i] - spans.start[i])
     for j in range(NODES):
@@ -860,8 +863,8 @@ TABULATED_PIECES = 3
 def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill `tick` and `offset` [s] with the instants between which every quantity is smooth; return their number.
 
-    These are the instants of the states in the history without its last one, the end of the motion, and two instants
-    inside each tabulated contact. The arrays must have room for TABULATED_PIECES instants per state.
+    These are the instants of all states in the history but the last, which is the end of the motion, and also two
+    instants inside each tabulated contact. The arrays must have room for TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

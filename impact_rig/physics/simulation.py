@@ -78,7 +78,7 @@ class Motion:
     A tick consists of one drive segment, or of several if the drive is a stream. An instant is given as the number of
     its tick, counted since the reset, and its offset from the start of that tick [s]. So values do not depend on how
     ticks are divided among calls of `advance`. Motions that are evaluated one after the other may share `work`, their
-    scratch memory.
+    scratch memory. In a rig without a sphere, x_2, v_2 and a_2 have no meaning.
 
     Attributes:
         first_tick: number of the first tick, counted since the reset.
@@ -270,7 +270,8 @@ class Simulation:
             that the simulation builds later.
 
     Attributes:
-        tick: number of the next tick to simulate, counted since the reset.
+        tick: number of the next tick to simulate, counted since the reset. The drive segments of a tick give its
+            duration.
         locked: whether `pluck` has locked the inferior base, which lasts until `reset`.
     """
 
@@ -315,8 +316,8 @@ class Simulation:
     def configure(self, config: MechanicsSetup, model: Model | None = None) -> None:
         """Change the configuration: the structure keeps its motion, and the sphere is at rest at `sphere.start` again.
 
-        With another kind of drive the structure starts at rest at zero as well. An inferior base that `pluck` has
-        locked stays locked. The energy account begins again, and the count of ticks continues.
+        With another kind of drive the structure starts at rest at zero as well, unless `pluck` has locked the inferior
+        base. A locked base stays locked. The energy account begins again, and the count of ticks continues.
 
         Args:
             config: the new configuration.
@@ -368,7 +369,7 @@ class Simulation:
         self._stored = self.stored_energy()
 
     def state(self) -> NDArray[np.float64] | None:
-        """Return the state at the end of the last drive segment simulated, SI, shape (7,), or None during a contact.
+        """Return the present state, SI, shape (7,), or None during a contact.
 
         The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. They do not describe a state
         during a contact, because its force also depends on how the contact began.
@@ -443,7 +444,7 @@ class Simulation:
     def copy(self) -> Simulation:
         """Return an independent copy of the simulation in its present state.
 
-        Both share scratch memory, so they must not be advanced at the same time in two threads.
+        Both share scratch memory, so two threads must not advance them, or evaluate their motions, at the same time.
         """
         twin = copy.copy(self)
         twin._work = self._work._replace(states=joined([self._work.states]), ledger=joined([self._work.ledger]))
@@ -460,9 +461,10 @@ class Simulation:
         return EnergyAccount(work, columns, shaker, contact, friction, self.stored_energy() - self._stored)
 
     def stored_energy(self) -> float:
-        """Return the kinetic and potential energy of the rig [J] at the end of the last drive segment simulated.
+        """Return the kinetic and potential energy of the rig in its present state [J].
 
-        It includes the energy of the coil's field and, during a contact, that of the indentation.
+        It includes the energy of the indentation during a contact and, if the drive is a voltage, that of the coil's
+        field. The inferior base and its suspension count only if the base is not prescribed.
         """
         p, s, y = self._model.parameters[0], self._state, self._structure()
         stretch = y[X1] - y[XB]

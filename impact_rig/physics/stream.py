@@ -117,7 +117,7 @@ class Buffer:
         return found
 
     def values(self, first: int, end: int) -> NDArray[np.float64]:
-        """Return the values of the samples first … end − 1, which must be in the buffer."""
+        """Return the values of the samples first … end − 1; those that are not in the buffer have arbitrary values."""
         found: NDArray[np.float64] = self._values[np.arange(first, end) % self.capacity]
         return found
 

@@ -110,7 +110,7 @@ class TopicDescription:
     schema_encoding: str = ENCODING  # encoding of `schema`; if it is not that of ROS, `schema` holds bytes as Latin-1
 
     def offered_qos_yaml(self) -> list[QosYaml]:
-        """Return the known policies of the offered QoS profiles; empty if `offered_qos_text` is no plain YAML list."""
+        """Return the profiles of `offered_qos_text`, with the policies of `OfferedQos` only; empty if no list."""
         return [dict(profile) for profile in _profiles(self.offered_qos_text)]
 
     def channel_metadata(self) -> dict[str, str]:
@@ -132,13 +132,13 @@ class TopicDescription:
         )
 
     def schema_bytes(self) -> bytes:
-        """Return the schema as the bytes that a file contains."""
+        """Return the schema as bytes for a file: its text as UTF-8, or the bytes of a schema that is not `ros2msg`."""
         return self.schema.encode(_SCHEMA_CODEC[self.schema_encoding == ENCODING][0])
 
 
 @functools.lru_cache(maxsize=1024)
 def _profiles(text: str) -> tuple[QosYaml, ...]:
-    """Return the QoS profiles in an untrusted YAML list, with the known policies only.
+    """Return the QoS profiles in an untrusted YAML list, with the policies of `OfferedQos` only.
 
     Only the type of their values is checked. Items that are no mappings are left out. The result is empty if the text
     is not such a list.
@@ -195,7 +195,7 @@ _MAX_TYPES = 200  # far above every message of common_interfaces; stops circular
 
 
 def interface_prefixes() -> tuple[Path, ...]:
-    """Return the directories in which `.msg` files may be installed: those of the sourced ROS, then of this Python."""
+    """Return the prefixes under which `.msg` files may be installed: those of the sourced ROS, then of this Python."""
     sourced = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return tuple(Path(prefix) for prefix in [*sourced, sys.prefix] if prefix)
 
@@ -204,7 +204,8 @@ def schema_text(type_name: str) -> str:
     """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), followed by those of the types it uses.
 
     Raises:
-        RecordingError: the type or one that it uses is missing, or the name is not that of a message type.
+        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the
+            type and those that it uses are more than 200.
     """
     (_, first), *others = definitions(type_name).items()
     return "\n".join([first, *(f"{_SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)])
@@ -217,8 +218,8 @@ def definitions(type_name: str) -> dict[str, str]:
     the text in this package.
 
     Raises:
-        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the type
-            uses more than 200 types.
+        RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the
+            type and those that it uses are more than 200.
     """
     where = interface_prefixes()
     root = _short_name(type_name)
@@ -271,8 +272,9 @@ def members(schema: str) -> list[tuple[str, str, int]]:
         schema: text as made by `schema_text`.
 
     Raises:
-        RecordingError: a type is not defined in the text; or a member that is a message is in an array or sequence, is
-            nested more than 8 types deep, or follows more than 200 other members.
+        RecordingError: a type is not defined in the text; or a member that is itself a message is in an array or
+            sequence, is nested more than 8 types deep, or follows more than 200 members of primitive types. Those
+            themselves are not limited in number.
     """
     root, *others = (part.strip() for part in schema.split(_SEPARATOR))
     texts = {

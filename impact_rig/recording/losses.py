@@ -114,9 +114,10 @@ class Account:
         return lost({name: self._streams(name) for name in self._topics})
 
     def writers(self, topic: str) -> list[str]:
-        """Return the sorted names of all publishers of a topic in the graph so far, with or without messages.
+        """Return the sorted names of the publishers of a topic that were found in the graph, with or without messages.
 
-        The list is empty unless messages of several publishers arrived.
+        The graph is read when a message does not continue the numbers of a known publisher. The list is empty unless
+        messages of several publishers arrived.
         """
         known = self._topics.get(topic)
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
@@ -182,7 +183,7 @@ def _stream(entry: dict[str, object]) -> PublisherStream:
 
 @attrs.frozen
 class Gap:
-    """Gap between two successive recorded blocks of scans."""
+    """Gap between two successive recorded blocks of scans, or a stamp that goes back or is not that of a scan."""
 
     block: int  # number of the block after the gap, counted from 0
     expected_ns: int  # stamp that the block after the gap should have: that of the first missing scan

@@ -64,10 +64,11 @@ _TRAILING_NUMBER = re.compile(r"_(\d+)$")
 
 
 class Message(NamedTuple):
-    """Recorded message: its log time [ns of rig time], the time at which it was published [ns], and its CDR bytes.
+    """Recorded message: its log time [ns], the time at which it was published [ns], and its CDR bytes.
 
-    `publish_time` is by the system clock of the publisher, or equals `log_time` if the recorder did not know it. `data`
-    is a view of the message's chunk, which stays in memory for as long as the view.
+    `log_time` is rig time in runs of this package. `publish_time` is by the system clock of the publisher, or equals
+    `log_time` if the recorder did not know it. `data` is a view of the message's chunk, which stays in memory for as
+    long as the view.
     """
 
     topic: str
@@ -206,7 +207,7 @@ class Run:
         """Provenance of the run (version, seed, wall_start_ns, …); empty for files of other recorders.
 
         Raises:
-            RecordingError: the record has no checksum, or does not match it.
+            RecordingError: the record has no checksum or does not match it, or a metadata record is damaged.
         """
         return self.record(RECORD_NAME)
 
@@ -220,7 +221,7 @@ class Run:
             The content; empty if there is no such record.
 
         Raises:
-            RecordingError: the record has no checksum, or does not match it.
+            RecordingError: the record has no checksum or does not match it, or a metadata record is damaged.
         """
         for source in reversed(self.sources):
             for found, content in reversed(source.metadata()):
@@ -241,6 +242,7 @@ class Run:
 
         Raises:
             RecordingError: an attachment is damaged.
+            ImpactRigError: an attachment is larger than any record that may be read.
         """
         found: dict[str, bytes] = {}
         for source in self.sources:
@@ -608,8 +610,8 @@ def run_files(path: Path) -> list[Path]:
     """Return the MCAP files of a run, in the order of recording.
 
     These are the files that `metadata.yaml` lists. Without `metadata.yaml` they are all MCAP files in the directory,
-    sorted by the numbers in their names. For a directory without MCAP files, the result is its SQLite or compressed
-    files: opening one raises an error that says how to convert it. If `path` is a file, the result is this file.
+    sorted as by `mcap_files`. For a directory without MCAP files, the result is its SQLite or compressed files: opening
+    one raises an error that says how to convert it. If `path` is a file, the result is this file.
 
     Raises:
         RecordingError: `path` does not exist or contains no such file, `metadata.yaml` cannot be read, or a file that
@@ -646,7 +648,10 @@ def _listed(directory: Path, name: str) -> Path:
 
 
 def mcap_files(directory: Path) -> list[Path]:
-    """Return the MCAP files in a directory, sorted by the numbers in their names; `metadata.yaml` is not used."""
+    """Return the MCAP files in a directory, sorted by name, but with the numbers at the end of names in numeric order.
+
+    `metadata.yaml` is not used.
+    """
     return sorted(directory.glob("*.mcap"), key=_split_order)
 
 
@@ -775,9 +780,9 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the segments with the messages of this file, in file order: its chunks, and 1 MiB parts outside them.
+        """Return the segments of this file, in file order: its chunks, and 1 MiB parts with messages outside them.
 
-        Without messages, the list is empty.
+        If the statistics of the file count no messages, only the chunks are listed.
         """
         chunks = (Segment.of_chunk(index) for index in self.summary.chunk_indexes)
         outside = self._outside_chunks() if self.statistics.message_count else ()
@@ -837,6 +842,7 @@ class McapSource:
 
         Raises:
             RecordingError: the segment is damaged or cannot be read.
+            BudgetError: the chunk is larger than any record that may be read.
         """
         if segment.chunk is None:
             with files.translate_errors(f"cannot read {self.path} at byte {segment.offset}"):
@@ -855,6 +861,7 @@ class McapSource:
 
         Raises:
             RecordingError: an attachment is damaged.
+            BudgetError: an attachment is larger than any record that may be read.
         """
         found = (record for record, _ in self.attachment_records())
         return [Attachment(record.name, bytes(record.data), record.media_type) for record in found]
@@ -864,6 +871,7 @@ class McapSource:
 
         Raises:
             RecordingError: an attachment is damaged.
+            BudgetError: an attachment is larger than any record that may be read.
         """
         found = []
         for index in self.summary.attachment_indexes:
@@ -886,6 +894,7 @@ class McapSource:
 
         Raises:
             RecordingError: a metadata record is damaged.
+            BudgetError: a metadata record is larger than any record that may be read.
         """
         found = []
         for index in self.summary.metadata_indexes:
@@ -904,6 +913,8 @@ class McapSource:
 
     def crc(self, segment: Segment) -> int:
         """Return the checksum that the head of a chunk states for its content; 0 means none, or a truncated head.
+
+        The segment must be a chunk.
 
         Raises:
             RecordingError: the chunk cannot be read.

@@ -50,7 +50,8 @@ class Blockwise:
     def feed(self, scan: Table) -> Table | None:
         """Process the next block of `daq/scan`; return the results that it completes as a table of `topic`, or None.
 
-        Blocks arrive in the order of their stamps.
+        Blocks arrive in the order in which they are published. Some may be missing, and after a reset of the rig their
+        stamps may go back.
         """
         raise NotImplementedError
 

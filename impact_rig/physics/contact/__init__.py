@@ -57,8 +57,8 @@ for _law in LAWS.values():
 def _with_settings_of_laws(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
     """Return the attributes of the section `contact`: `own`, and those that only contact laws define.
 
-    attrs calls this while it makes the class `Contact`. Laws that share an attribute must give it the same default and
-    metadata; otherwise an AssertionError names the attribute.
+    attrs calls this while it makes the class `Contact`. An attribute that `own` and a law, or two laws, have in common
+    must have the same default and metadata in both; otherwise an AssertionError names it.
     """
     found = {attribute.name: attribute for attribute in own}
     for law in LAWS.values():

@@ -117,7 +117,10 @@ def _hertz_damped(
 
 @attrs.frozen
 class HystereticLaw(ContactLaw):
-    """Contact law F = K δ^1.5 (1 + a δ'/v0) with Hertz stiffness K; a subclass defines only the hysteresis factor a."""
+    """Contact law F = K δ^1.5 (1 + a δ'/v0) with Hertz stiffness K.
+
+    A subclass defines the hysteresis factor a, and the class attributes of `ContactLaw`.
+    """
 
     adjustable = True
 
@@ -135,7 +138,7 @@ class HystereticLaw(ContactLaw):
         )
 
     def realised_restitution(self) -> float:
-        """Return the restitution that the law really gives, the root e of ln[(1 + a)/(1 − a e)] = a (1 + e)."""
+        """Return the restitution that the law really gives with its `hysteresis_factor`, see `realised`."""
         return realised(self.hysteresis_factor())
 
 

@@ -69,8 +69,9 @@ class Force(NamedTuple):
         lets_go: whether the contact ends where the force would pull; otherwise it pulls, and the contact ends at δ = 0.
         scale_free: whether contacts of all speeds are the same motion if each is measured in units made of its approach
             speed and its time scale, so that they can be tabulated; needs a `factor` without dimension.
-        remembers: whether the force depends on `turned_at`. A pressed sphere may ring undamped under such a law; a
-            ringing slower than `contact.speed_floor_m_s` is replaced by its position of rest.
+        remembers: whether the force depends on its argument `turned_at`, which is 0 while the contact loads and
+            otherwise the √ of the largest indentation. A pressed sphere may ring undamped under such a law; a ringing
+            slower than `contact.speed_floor_m_s` is replaced by its position of rest.
         rigid: whether a contact takes no time; its force is never evaluated.
     """
 
@@ -169,7 +170,7 @@ def at_point_of(force: Any) -> Any:
 
 
 def at_stages_of(force: Any) -> Any:
-    """Return a function that evaluates `force` at all stages of a contact's integration step and stores the results."""
+    """Return a function that evaluates `force` at all stages of a step and stores F, its lossy part and derivatives."""
 
     def at_stages(p: Record, per_v0: float, step: Record) -> None:
         for i in range(STAGES):
@@ -223,7 +224,10 @@ def compiled_force(function: ForceFunction) -> CompiledForce:
 
 
 def _reported(force: ForceFunction, name: str) -> ForceFunction:
-    """Return a function that calls `force` and turns its exceptions into SimulationErrors that quote `name`."""
+    """Return a function that calls `force` and turns its exceptions into SimulationErrors.
+
+    They quote `name`, the name of the force function as `name_of` gives it.
+    """
 
     def reported(*numbers: float) -> tuple[float, float, float, float, float]:
         try:
@@ -260,9 +264,10 @@ so `raise_failure` raises them afterwards.
 
 
 def raise_failure() -> None:
-    """Raise the exception, if any, that a plain Python contact force raised while compiled code called it.
+    """Raise a SimulationError if a plain Python contact force raised an exception while compiled code called it.
 
-    Call this after every kernel that evaluates forces: the exception cannot pass through the compiled code.
+    A KeyboardInterrupt during such a call is raised as it is. Call this after every kernel that evaluates forces: the
+    exception cannot pass through the compiled code.
     """
     if _raised:
         raise _raised.pop()
