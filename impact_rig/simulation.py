@@ -49,7 +49,8 @@ DRIVE_A = 0.52  # peak, as in the paper's measurements
 class Record:
     """Readings of a simulated rig, and the results derived from them; `simulate` returns it.
 
-    Times count from the start of the run. docs/reference/interface.md describes every column.
+    Times count from the start of the run, except those of `measurements`, which count from the end of each measurement
+    and are therefore 0. docs/reference/interface.md describes every column.
 
     Attributes:
         config: configuration of the rig.

@@ -41,7 +41,7 @@ class Word(enum.StrEnum):
     doc: str
 
     def __new__(cls, word: str, doc: str = "") -> Self:
-        """Create a member of an enumeration, which equals the text `word` and has the meaning `doc`."""
+        """Create a member of an enumeration, which equals the text `word`; `doc` becomes its attribute `doc`."""
         member = str.__new__(cls, word)
         member._value_ = word
         member.doc = doc
@@ -126,7 +126,10 @@ BY_NODE: dict[str, type[NodeWord]] = {
 
 
 class Status(Word):
-    """Status of a row of `transmissibility/table`. Only the first six carry numbers; the others have NaN instead."""
+    """Status of a row of `transmissibility/table`, or of a free decay.
+
+    Only rows with one of the first six have DT and what belongs to it; in the others these columns are NaN.
+    """
 
     OK = "ok", "DT of a settled response was measured."
     NO_IMPACTS = (

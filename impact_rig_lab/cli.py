@@ -177,10 +177,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_combination(arguments: argparse.Namespace) -> None:
-    """Check that the page has one source, and that no option is given that has no effect on it.
+    """Check that at most one of RUN, `--sample` and `--attach` is given, and no option that has no effect with it.
 
     Raises:
-        ImpactRigError: several sources are given, or an option that applies only to another one.
+        ImpactRigError: several of them are given, or an option has another value than its default and no effect.
     """
     given = {"RUN": arguments.runs, "--sample": arguments.sample, "--attach": arguments.attach}
     sources = [name for name, value in given.items() if value]
@@ -272,7 +272,8 @@ def _take_place(domain: int, namespace: str, stack: contextlib.ExitStack) -> Non
         stack: exit stack that releases the reservation at the end of the program.
 
     Raises:
-        ImpactRigError: another lab or rig on this machine uses the namespace; the message names its process.
+        ImpactRigError: another lab or rig of this user on this machine uses the namespace; the message names its
+            process.
     """
     name = files.place(domain, namespace)
     advice = f"show its rig with --attach {namespace}, or choose another --namespace"

@@ -141,7 +141,7 @@ class OwnedProcesses:
         self.processes.start(PROGRAMS.get(node, node), self.parameters.get(node, {}), name=node)
 
     def close(self) -> None:
-        """End the thread that starts nodes, so that no further node is started; running nodes continue."""
+        """Wait for the requested starts of nodes, and end the thread for them; running nodes continue."""
         self._starter.shutdown()
 
     def ended(self, node: str) -> str:
@@ -416,7 +416,7 @@ class Gateway:
 
         Args:
             column: name of the request, and of the column of `shaker/applied` that confirms it: frequency or current.
-            value: commanded value [Hz or A].
+            value: commanded value [Hz; or A, m or V by `drive.kind`].
 
         Returns:
             Answer for the page.
@@ -569,9 +569,9 @@ class Gateway:
         If the node that runs it is absent, a lab that has started the rig starts this node first.
 
         Args:
-            frequencies: frequencies of the points [Hz].
+            frequencies: frequencies of the points [Hz]; a phase lock uses only the first, to begin its search.
             direction: up, down or up_down.
-            hold: quantity that is kept constant: command, current, base, superior or phase.
+            hold: quantity that is kept constant: command, current, base or superior; phase means a phase lock.
             target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for the others.
 
         Raises:

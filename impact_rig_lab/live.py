@@ -117,7 +117,7 @@ class LiveSource(Source):
                 self._client.close()
 
     async def _serve(self) -> None:
-        """Serve one rig, or search for one, until the lab ends or a page chooses another namespace."""
+        """Serve one rig, or search for one, until the lab ends, a rig is found, or a page chooses another namespace."""
         look_at = state_at = slow_at = 0.0
         namespace = self._namespace
         while not self.end.is_set() and self._namespace == namespace:
@@ -141,8 +141,9 @@ class LiveSource(Source):
     def _poll(self) -> None:
         """Process new messages of scans and motion, and subscribe to these topics only while a page is open.
 
-        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion. Of the scans it then
-        receives only short samples unless an action is in progress, which also relieves the rig.
+        If rig time runs too fast to draw (see `Pace.is_followed`), the lab receives no motion, which relieves
+        the rig. It then receives scans for `SUBSCRIBE_S` at a time, with pauses of `PAUSE_S` unless an action is in
+        progress.
         """
         if self._gateway is None:
             return

@@ -66,10 +66,10 @@ AT_REST = {"frequency": 0.0, "current": 0.0}  # drive before the first recorded 
 
 @attrs.frozen
 class Instant:
-    """State of a recorded rig at one time, according to the recording."""
+    """State of a recorded rig at one time: parameters, drive, latch, pluck, and the time of the last change."""
 
     values: Mapping[str, Any]  # parameters of the rig by name
-    applied: Mapping[str, float]  # drive: frequency [Hz] and peak current [A]
+    applied: Mapping[str, float]  # drive, as `RigView.drive`
     latched: str  # reason why the shaker was latched; empty if it was not
     plucked: bool  # whether the inferior base was locked after a pluck
     changed_ns: int  # rig time of the last change of parameters or drive up to then; without one, the stamp of scan 0
@@ -487,15 +487,15 @@ class PlaybackSource(Source):
 
         Args:
             by: `start` (the first recorded scans of both runs are aligned), `time` (equal times since scan 0), or
-                `change`: the journal entry of the first run that is nearest to `at_s` is aligned with the first equal
-                entry of the second run.
-            at_s: time of the page [s].
+                `change`: the line of the first run's history (`RigHistory.part`) that is nearest to `at_s` is aligned
+                with the first equal line of the second run.
+            at_s: time of the page [s]; only for `change`.
 
         Returns:
             Answer for the page.
 
         Raises:
-            RecordingError: there is no second run, or no such entry in what has been read of the runs so far.
+            RecordingError: there is no second run, or no such line in what has been read of the runs so far.
         """
         if len(self._runs) < 2:
             raise RecordingError(

@@ -88,7 +88,7 @@ Check = Callable[[str, object], Any]
 
 
 def number(low: float = -math.inf, high: float = math.inf) -> Check:
-    """Return a function that checks that a value of a request is a finite number in [low, high], and returns it."""
+    """Return a `Check` that a value of a request is a finite number in [low, high]; it returns it as a float."""
 
     def check(name: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -116,7 +116,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def word(*known: str) -> Check:
-    """Return a function that checks that a value of a request is one of the texts in `known`, and returns it."""
+    """Return a `Check` that a value of a request is one of the texts in `known`."""
 
     def check(name: str, value: object) -> str:
         if not isinstance(value, str) or value not in known:

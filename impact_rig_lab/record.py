@@ -580,7 +580,8 @@ class RigView:
     def drive(self) -> dict[str, float] | None:
         """Active drive of the present rig, with the keys `frequency` and `current`; None if it is not published yet.
 
-        `frequency` is in Hz. `current` is the peak amplitude in A, or in m or V by `drive.kind`.
+        `frequency` is in Hz. `current` is the peak amplitude (rms for a random drive) in A, or in m or V by
+        `drive.kind`.
         """
         change = self._change()
         return None if change is None else change[1]

@@ -102,11 +102,11 @@ class Seen:
 
     @property
     def lives(self) -> bool:
-        """Return whether the node has reported in the last `DEAD_S` seconds, and its process has not ended."""
+        """Return whether the node has reported in the last `DEAD_S` seconds, and is not known to have ended."""
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
-        """Return the report for the page, as values for JSON."""
+        """Return state, reason, instance and age of the node, `lives` and `gone`, for the page, as values for JSON."""
         return {
             "state": self.state,
             "reason": self.reason,
@@ -118,7 +118,7 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Reason why a node that has reported before counts as absent now; empty if it is alive, or never reported."""
+        """Reason why a node counts as absent now: its process has ended, or it has stopped reporting; else empty."""
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -192,8 +192,9 @@ class Pace:
         clock: clock for real time [s].
 
     Attributes:
-        speed: speed from the last two different readings, 0 before there are two, also of a restarted rig. While the
-            readings do not change it keeps its value, unlike the result of `read`.
+        speed: speed between the last two different readings; 0 before there are two, also after a restart of the rig,
+            or if its state implies that its time stands still. It is kept while the readings do not change, unlike the
+            result of `read`.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -215,7 +216,7 @@ class Pace:
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
         """Add a reading of the rig time, and return its present speed (rig seconds per real second).
 
-        The speed is 0 if the rig time has not changed for 3 s of real time.
+        The speed is 0 for the first reading, and if the rig time has not changed for 3 s of real time.
 
         Args:
             rig_s: rig time [s].
@@ -294,7 +295,9 @@ def present(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> dict[str, 
 
     The measurement applies if `judge` returns `measured` for the same arguments, or would if the rig were not paused.
     The progress consists of the number of settling windows `done` and needed (`of`), the remaining fraction of the
-    transient (`rest`), and the time without impacts (`quiet`) [s] and its limit (`quiet_of`) [s].
+    transient (`rest`), and the time without impacts (`quiet`) [s] and its limit (`quiet_of`) [s]; None if unknown.
+    `state` and `reason` are those of the analysis; they are empty unless both nodes report and the rig is driven or
+    paused.
 
     Args:
         rig: last report of the rig.
@@ -404,7 +407,7 @@ class Source(abc.ABC):
         self.close()
 
     def close(self) -> None:
-        """End the thread of the source, and its computation of predictions."""
+        """End the thread of the source, and wait until it and a running prediction have ended."""
         self.end.set()
         if self._thread.is_alive():  # otherwise the cause of the failed start is raised
             self._thread.join()
@@ -424,6 +427,7 @@ class Source(abc.ABC):
         The prediction is requested only while a page is open, the drive (`applied`) is known and `values` is not empty.
 
         If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
+        The parts `refused` and `other_motion` are also updated.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.

@@ -219,7 +219,7 @@ class Theory:
         on_prediction: function that receives each prediction, in a thread of this object.
 
     Attributes:
-        branches: branches computed before; those computed for the requested settings are added to the prediction.
+        branches: branches read by `continued`; the lines of those that `exists` accepts are added to a prediction.
     """
 
     def __init__(self, on_prediction: Callable[[dict[str, Any]], None]) -> None:

@@ -178,7 +178,8 @@ class RunWriter:
         """Register a topic, at any time. If the topic is already registered with the same type, the call has no effect.
 
         Raises:
-            RecordingError: the topic is known with another type (the run continues), or the run has ended.
+            RecordingError: the topic is known with another type (the run continues); or the run is finished, or had to
+                stop, now or earlier.
         """
         self._refuse_if_closed()
         known = self._channels.get(topic.name)
@@ -239,13 +240,17 @@ class RunWriter:
     def _begin_without_scans(self) -> None:
         """Write the messages that wait for a first scan without it, because the run ends or too many of them wait.
 
-        All of them get the newest of their stamps as log time. If none has a stamp, each gets its own publish time.
+        All of them get the newest of their stamps as log time. If none has a stamp, each gets its own publish time, or
+        that of an earlier message if that is later.
         """
         stamps = [_stamp(one.data) for one in self._early if one.channel.has_header]
         self._write_early(max(stamps, default=0) or None)
 
     def _write_early(self, time_ns: int | None) -> None:
-        """Write the messages that wait for the first scan, with the log time `time_ns`; None: each its publish time."""
+        """Write the messages that wait for the first scan, with the log time `time_ns`.
+
+        None means the publish time of each, or that of an earlier message if that is later.
+        """
         for one in self._early:
             now_ns = self._clock_ns.go_on(one.publish_time_ns if time_ns is None else time_ns)
             self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
@@ -313,8 +318,10 @@ class RunWriter:
     def flush_due(self) -> None:
         """Close and write the open chunk if it has been open for `CHUNK_OPEN_S` (0.5 s); call this every 0.25 s.
 
+        After the end of the run, also after an error, the call has no effect.
+
         Raises:
-            RecordingError: the run had to stop.
+            RecordingError: the run has to stop now.
         """
         if not self._closed:
             with _StoppingOnError(self):
@@ -522,7 +529,7 @@ class LogClock:
     """Log time of a recording: the rig time at which a message is received, computed from the scans received so far.
 
     The log time never goes back. If the stamps go back because a rig was restarted, the log time continues from its
-    last value, and advances by as much as the stamps do.
+    last value, and advances by as much as the stamps do. It is None until the first scan or call of `go_on`.
     """
 
     def __init__(self) -> None:

@@ -46,7 +46,7 @@ class RigConfig:
         structure: superior base on its columns: mass, natural frequency, damping.
         shaker: shaker and inferior base: masses, suspension, force factor, limits.
         drive: drive at the start or reset: kind, waveform, frequency, amplitude.
-        sphere: whether there is a sphere; its mass, size and start.
+        sphere: whether there is a sphere; its size, material and start, and the friction of its guide.
         barriers: gap between the barriers, and their material.
         contact: law of the contact between sphere and barriers, and coefficient of restitution.
         daq: data acquisition: scans per second, scans per block, seed of the noise.
@@ -133,7 +133,8 @@ def load_config(path: Path | str, overrides: Mapping[str, object] | None = None)
         The configuration.
 
     Raises:
-        ConfigError: the file cannot be read, or a value is unknown or out of range; the message names key and file.
+        ConfigError: the file cannot be read, a key is unknown, a value is out of range, or values contradict each
+            other. The message names the file, and the key if one is at fault.
 
     Examples:
         >>> import pathlib, impact_rig

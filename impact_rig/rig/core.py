@@ -69,7 +69,9 @@ DRIVE_SEED = 0  # `spawn_key` of the drive's random numbers under `daq.seed`; th
 
 
 def new_generator(config: RigConfig) -> FunctionGenerator:
-    """Return a new function generator that starts with the frequency and amplitude of the configuration.
+    """Return a new function generator with the frequency and amplitude of the configuration.
+
+    The amplitude of a stream is 0 instead, but the configured one is checked as well.
 
     Raises:
         ConfigError: the configured amplitude exceeds the limits of the shaker, or the upper end of a random drive's
@@ -143,7 +145,7 @@ class Block:
         monitor_states: true motion at the instants of the monitor topics, rows of `blocks.TRUTH_SCAN`, with `time`
             since the stamp of `scan`.
         monitor_scans: indices of the rows of `scan` at these instants.
-        truth: table of `truth/scan`; None unless configured.
+        truth: table of `truth/scan`; None unless `output.truth_scan` was on during the whole block and still is.
         faults: table of `truth/faults`, the faults that start or end in this block; None if there are none.
         lost: whether a `lost_block` fault acts on any of the scans; then all scans of the block are withheld.
     """
@@ -179,7 +181,8 @@ class Rig:
 
     Most programs use `LocalRig` or `RosRig` instead, which add analysis, recordings and topics. `advance` simulates and
     returns blocks of scans. An input, such as `accept`, takes effect at the frontier: the first time on a grid of 10 ms
-    that is not simulated yet. The same configuration and inputs give the same bits on every machine.
+    that is not simulated yet. Only faults and samples of a stream have times of their own. The same configuration and
+    inputs give the same bits on every machine.
 
     Args:
         config: configuration of the rig.
@@ -226,7 +229,7 @@ class Rig:
 
     @property
     def frontier_ns(self) -> int:
-        """First rig time that is not yet simulated [ns], on the 10 ms grid; an input made now takes effect there."""
+        """First rig time that is not yet simulated [ns], a multiple of 10 ms after scan 0; commands act from there."""
         return self.start_ns + self._ticks * COMMAND_GRID_NS
 
     @property
@@ -267,7 +270,10 @@ class Rig:
 
     @property
     def simulation(self) -> Simulation:
-        """Simulation of the mechanics, for diagnostics such as the energy balance; do not advance it."""
+        """Simulation of the mechanics, for diagnostics such as the energy balance; do not advance it.
+
+        A call of `advance` or `reset` may replace the object, so get it again afterwards.
+        """
         return self._simulation
 
     @property
@@ -492,17 +498,17 @@ class Rig:
     def feed(self, first_sample: int, values: ArrayLike) -> int:
         """Store samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. Until that time is simulated, the
-        sample may be sent again and replaced. An empty array ends the stream at `first_sample`. A sample that is
-        missing anywhere else, once the stream has started, causes an underrun: the rig does what `drive.on_underrun`
-        says.
+        Sample k has the time k · 10⁹ // `drive.stream_rate_hz` ns after scan 0. It may be sent again and replaced until
+        the simulation needs it: with `drive.stream_hold: first_order` that is up to one sample interval before its
+        time. An empty array ends the stream at `first_sample`. A sample that is missing anywhere else, once the stream
+        has started, causes an underrun: the rig does what `drive.on_underrun` says.
 
         Args:
             first_sample: number of the first sample.
             values: samples [A, m or V by `drive.kind`], shape (n,).
 
         Returns:
-            Number of samples that arrived after their time; they have no effect.
+            Number of samples that arrived after the simulation needed them; they have no effect.
 
         Raises:
             CommandError: a value is not finite or exceeds the shaker, the samples reach beyond `drive.stream_buffer_s`,
@@ -612,6 +618,7 @@ class Rig:
 
         Raises:
             CommandError: the shaker is latched; a reset must not clear an emergency stop.
+            ConfigError: the limits of the shaker are below `drive.amplitude`, after `configure`; nothing is changed.
         """
         if self._latched is not None:
             raise CommandError(f"cannot reset: {self._why_latched()}")

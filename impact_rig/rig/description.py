@@ -77,7 +77,10 @@ def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
 
 
 def robot_description(config: RigConfig) -> str:
-    """Return the URDF of a rig as XML text: its bodies, joints and frames, with the dimensions of the configuration."""
+    """Return the URDF of a rig as XML text: its bodies, joints and frames.
+
+    Masses, gap, sphere and distance of the laser are those of the configuration; other dimensions are fixed.
+    """
     return _urdf(config.structure, config.shaker, config.sphere, config.barriers, config.instruments.laser)
 
 

@@ -105,9 +105,10 @@ class Interlock:
     def watch(
         self, motion: Motion, tick_s: float, drive: Drive, shaker: Shaker, known: Container[str] = ()
     ) -> Trip | None:
-        """Return the first trip in simulated ticks, or None if no limit is exceeded or the base's motion is prescribed.
+        """Return the first trip in simulated ticks, by travel or averaged current, or None if there is none.
 
-        The average of the current is updated over all ticks, or up to the tick of the trip.
+        With a prescribed motion of the base there is none. The average of the current is updated over all ticks, or up
+        to the tick of the trip.
 
         Args:
             motion: the simulated ticks.

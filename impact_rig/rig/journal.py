@@ -276,6 +276,7 @@ class JournalView:
     """State of a rig according to its journal, updated entry by entry.
 
     The journal may be incomplete. If its beginning is missing, the state contains only what the received entries say.
+    Configuration values that affect no sample are in no journal, so they always have their defaults here.
 
     Attributes:
         configuration: every configuration value by full name; the default if no entry has changed it.
@@ -395,7 +396,7 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class FaultChange:
-    """Change of the planned faults: `gone` are the removed lines, and `new` the added lines, each with its fault."""
+    """Change of the planned faults: `gone` has the removed lines, and `new` has each added line with its fault."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]

@@ -58,13 +58,15 @@ def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -
     """Simulate the rig that wrote this journal again, and yield its blocks, without end.
 
     The simulation begins at the last `start` or `reset`. After the last entry it continues without further inputs.
+    Errors are raised only when blocks are requested.
 
     Args:
         journal: the entries of rig/journal, in order.
-        waveform: messages of shaker/waveform, in order, if the drive is a stream.
+        waveform: messages of shaker/waveform if the drive is a stream, in the order that `RecordedSamples` needs.
 
     Raises:
-        ConfigError: the journal is incomplete or does not fit this version; the message says why.
+        ConfigError: the journal is incomplete or does not fit this version, or `waveform` lacks a sample that took
+            effect; the message says why.
         CommandError: the rig rejects an input of the journal.
     """
     yield from Resimulation(journal, waveform=waveform).blocks
@@ -79,9 +81,10 @@ class RecordedSamples(Buffer):
     Args:
         rig: re-simulated rig, driven by the stream.
         entries: entries of the recorded rig's journal after the first.
-        waveform: blocks of samples in the order of their receipt, those with `is_doubtful` first. If several blocks
-            contain a sample, the last one counts. A block that arrived after the time of the sample only counts if no
-            earlier block contains it, except doubtful ones.
+        waveform: blocks of samples in the order of their receipt, but first those that a reset may have discarded
+            (`is_doubtful`). If several blocks contain a sample, the last one counts. A block that arrived after the
+            time of the sample only counts if no earlier block contains it, except doubtful ones. Blocks with a value or
+            stamp that the rig rejects are ignored.
     """
 
     def __init__(self, rig: Rig, entries: Iterable[JournalEntry], waveform: Sequence[Sent]) -> None:
@@ -116,8 +119,10 @@ class RecordedSamples(Buffer):
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
         """Return, for each of the samples first … end − 1, whether it took effect in the recorded rig.
 
+        It is False after both the last recorded sample and the last event of the stream in the journal.
+
         Raises:
-            ConfigError: a sample that took effect is not in the recording.
+            ConfigError: an earlier sample took effect but is not in the recording.
         """
         numbers = np.arange(first, end)
         wanted = np.searchsorted(self._switches, numbers, side="right") % 2 == 0
@@ -164,6 +169,11 @@ class RecordedSamples(Buffer):
 
 class Resimulation:
     """Simulation of the rig that wrote a journal, from the last `start` or `reset` in it; see `resimulate`.
+
+    Args:
+        journal: the entries of rig/journal, in order.
+        base: values that the first entry does not contain, by default those of `RigConfig()`.
+        waveform: messages of shaker/waveform if the drive is a stream, in the order that `RecordedSamples` needs.
 
     Attributes:
         rig: the re-simulated rig, which may have been simulated further than the blocks taken from `blocks`.

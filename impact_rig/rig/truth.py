@@ -112,8 +112,8 @@ class Truth:
 
     Args:
         rate_hz: scans per second.
-        monitor_hz: highest rate of the monitor topics [Hz]. The state at every k-th scan is kept, with the smallest k
-            for which the rate of scans divided by k does not exceed it.
+        monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, with the
+            smallest k for which the rate of scans divided by k does not exceed it.
         every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
     """
 
@@ -128,8 +128,8 @@ class Truth:
         """Choose the scans whose true states are kept, from the next tick on.
 
         Args:
-            monitor_hz: highest rate of the monitor topics [Hz]. The state at every k-th scan is kept, with the smallest
-                k for which the rate of scans divided by k does not exceed it.
+            monitor_hz: highest rate of the monitor topics, > 0 [Hz]. The state at every k-th scan is kept, with the
+                smallest k for which the rate of scans divided by k does not exceed it.
             every_scan: whether to keep the state at every scan; `pop_states` then marks every k-th one.
         """
         self.monitor_step = monitor_step(self._rate_hz, monitor_hz)

@@ -66,9 +66,10 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
 def draw(
     run: Run, found: Sequence[Findings], directory: Path, formats: Sequence[str] = FIGURE_FORMATS
 ) -> tuple[Excerpt, list[Path]]:
-    """Draw the figures of a run; return the excerpt that was drawn, and the paths of the new files in `directory`.
+    """Draw the figures of a run; return its `last_excerpt`, and the paths of the new files in `directory`.
 
-    `found` are the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it.
+    Spectrum and phase plane show this excerpt, and the time traces its last `TRACED_CYCLES` drive cycles. `found` are
+    the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it.
 
     Raises:
         RecordingError: the run has no calibration or too few scans, or a file exists or cannot be written.
@@ -96,15 +97,19 @@ def draw(
 
 
 def channel_units(run: Run) -> dict[str, str]:
-    """Return the SI unit of each channel of a run, by name, as its calibration states it."""
+    """Return the SI unit of each channel of a run, by name, as its newest calibration states it.
+
+    Raises:
+        RecordingError: the run has no calibration.
+    """
     return {row["name"].decode(): row["unit"].decode() for row in calibration_rows(run)}
 
 
 def main_motion(rows: NDArray[np.void], units: Mapping[str, str]) -> tuple[str, float, str, str]:
-    """Return the channel that phase plane and spectrum show: the first one of `SHOWN` that was measured.
+    """Return the channel that phase plane and spectrum show: the first one of `SHOWN` that is a column of `rows`.
 
     Args:
-        rows: scans.
+        rows: scans with at least one of these channels.
         units: SI unit of each channel, by name.
 
     Returns:

@@ -51,7 +51,10 @@ MOST_SCANS = 20_000_000  # maximum number of scans of a record; they need 740 MB
 class Excerpt:
     """Contiguous scans of a run that are drawn or measured as one record, with drive frequency and detected impacts."""
 
-    rows: NDArray[np.void]  # scans (`daq/scan`), `time` [s since the first scan of the run], shape (n,)
+    rows: NDArray[np.void]
+    """Scans (`daq/scan`), shape (n,). Their `time` [s] counts from the first scan of the run, or from the first one
+    after the stamps last went back.
+    """
     rate_hz: float  # scans per second
     drive_hz: float  # drive frequency, 0 if unknown
     impact_times: NDArray[np.float64]  # times of the impacts detected in it [s, as the rows' time], shape (k,)
@@ -69,7 +72,7 @@ class Excerpt:
     def __str__(self) -> str:
         """Return the first and last time of these scans and why they were chosen, as text for titles and messages.
 
-        Times are in seconds since the first scan of the run, as in `rows`.
+        Times are in seconds, counted as in `rows`.
         """
         where = "of the last settled measurement" if self.settled else "of the end of the run; nothing settled"
         return f"{self.rows['time'][0]:.2f} s to {self.rows['time'][-1]:.2f} s, {where}"

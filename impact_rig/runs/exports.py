@@ -65,7 +65,8 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 
     Raises:
         RecordingError: the suffix is unknown, or `target` exists or cannot be written. Or the topic was not recorded,
-            has no messages, carries no tables, changes its columns, or has nothing that a UFF file can hold.
+            has no messages (unless it is the journal), carries no tables, changes its columns, or has nothing that a
+            UFF file can hold.
         ImpactRigError: a library is missing: pyarrow for Parquet, pyuff for UFF.
 
     Examples:
@@ -86,7 +87,8 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
 def write_columns(batches: Callable[[], Iterator[Columns]], target: Path) -> Path:
     """Write batches of columns to the new file `target`, in the format of its suffix, and return its path.
 
-    `batches` is a function that returns the batches, all with the same columns. It is called after `target` is checked.
+    `batches` is a function that returns the batches, all with the same columns. It is called once, after `target` has
+    been checked.
 
     Raises:
         RecordingError: the suffix is unknown, or the file exists or cannot be written.
@@ -249,6 +251,7 @@ def _response_functions(
 def _dataset(name: str, kind: int, x: NDArray[np.float64], y: NDArray[np.generic], unit: str) -> dict[str, object]:
     """Return y over x as a dataset 58 for pyuff, without a unit of y.
 
+    `kind` is its function type: `_TIME_RESPONSE` or `_RESPONSE_FUNCTION`. `unit` is the unit of x: s or Hz.
     Of an evenly spaced time x, the file has only the first value and the step, with six digits each. Readers compute
     the other values from them. Of any other x, the file has all values.
     """

@@ -368,7 +368,8 @@ class _RigScans:
     def span_s(self) -> float:
         """Rig time from the first scan to the end of the last [s], with the gaps between them.
 
-        If stamps go back because the rig was restarted, the durations before and after that are added.
+        If stamps go back to before the first one, because the rig was restarted, the durations before and after that
+        are added.
         """
         total_ns = begin_ns = end_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
@@ -380,7 +381,7 @@ class _RigScans:
 
     @property
     def last_block_s(self) -> float:
-        """Duration of the newest block [s]; 0 if unknown."""
+        """Duration of the block with the latest stamp [s]; 0 if unknown."""
         return max(self.blocks)[1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
 
 

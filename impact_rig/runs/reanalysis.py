@@ -144,9 +144,9 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
     """Return the settings that live analyses of a run published, in order; invalid tables are skipped.
 
     Settings apply from the stamp of their table on. Those with which an analysis starts have the stamp 0, so they apply
-    to all scans that it receives. If it was restarted during the run, these are only the scans after the restart. The
-    settings of an analysis that ended before the run were recorded only because their topic is latched, and are left
-    out.
+    to all scans that it receives. If it was restarted during the run, these are only the scans after the restart. Of
+    several analyses with settings from before the first scan, only those of the last one are returned. The others ended
+    before the run; their settings were recorded only because the topic is latched.
 
     Raises:
         RecordingError: all recorded settings are invalid.
@@ -212,7 +212,7 @@ def measurements(findings: Iterator[Findings]) -> list[Table]:
 
 
 def rows(tables: list[Table]) -> NDArray[np.void]:
-    """Return the rows of measurement tables as one array of `TRANSMISSIBILITY`, shape (n,)."""
+    """Return the rows of tables from `measurements` as one array of `TRANSMISSIBILITY`, shape (n,)."""
     return np.concatenate([table.rows for table in tables]) if tables else np.empty(0, TRANSMISSIBILITY)
 
 
@@ -226,13 +226,13 @@ def newest_settled(tables: list[Table]) -> NDArray[np.void]:
 
 
 def texts(run: Run, topic: topics.Topic, blocks: int | None = None) -> list[str]:
-    """Return the texts on a topic of type std_msgs/String, in log-time order; empty if the topic was not recorded.
+    """Return the texts on a topic of type std_msgs/String; empty if the topic was not recorded.
 
     Args:
         run: an open run.
         topic: the topic.
-        blocks: if given, only the texts that were recorded before block number `blocks` of scans, counted from 1, are
-            returned; None means all texts.
+        blocks: None means all texts, in log-time order. Otherwise only those recorded before block number `blocks` of
+            scans, counted from 1, are returned, in the order of recording.
     """
     if not run.holds(topic):
         return []
@@ -326,7 +326,7 @@ class Agreement:
 class _Blind:
     """Series of scans that one of the two analyses has not received: above `begin`, up to and including `end`.
 
-    Both are numbers of scans. `begin` is −∞ for the scans before the first one that it received.
+    Both are scan indexes. `begin` is −∞ for the scans before the first one that it received.
     """
 
     begin: float
@@ -335,7 +335,7 @@ class _Blind:
 
 @attrs.frozen(eq=False)
 class _Row:
-    """Measurement of one of the two analyses, made from the scans above `begin`, up to and including `end`."""
+    """Measurement of one of the two analyses, from the scans with indexes above `begin`, up to and including `end`."""
 
     begin: int
     end: int
@@ -541,10 +541,10 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 
 
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
-    """Return the series of scans that the live analysis has not received, according to its rows, at least one.
+    """Return the series of scans that the live analysis has not received, according to its rows `live` (at least one).
 
-    These are the scans before its first row. After each row with the status `lost_blocks`, they are also the scans up
-    to the first scan of the next row.
+    The first series is that of the scans before its first row. Each row with the status `lost_blocks` adds that of the
+    scans between it and the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]

@@ -369,7 +369,7 @@ class RecoverReport:
         return found
 
     def note(self, damage: Damage) -> None:
-        """Count a damaged part in this report and in that of its file, and list it if it is one of the first 1000."""
+        """Count a damaged part, list it here if it is one of the first 1000, and add its size to its file's report."""
         self.damage_count += 1
         for file in self.files:
             if file.name == damage.file.removesuffix(TAIL_SUFFIX):
@@ -457,7 +457,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     """Write the messages of every intact chunk of a damaged or unfinished run to the new run directory `out`.
 
     Attachments and metadata that match their checksums are written as well. If the recorder was killed while a chunk
-    was open, the messages of this chunk are taken from its tail (`*.mcap.tail`).
+    was open, the messages of this chunk are taken from its tail (`*.mcap.tail`). A chunk or message that exceeds a
+    limit of reading is left out as damaged.
 
     Args:
         path: a run directory or an MCAP file; it is only read.
@@ -471,8 +472,7 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
     Raises:
         RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be
             written.
-        ImpactRigError: the recording exceeds a limit of reading. A chunk or message that does is left out as damaged
-            instead.
+        ImpactRigError: `metadata.yaml` exceeds a limit of reading, and there is no MCAP file.
     """
     source, target = Path(path), Path(out)
     report = RecoverReport(target)
@@ -546,6 +546,7 @@ def _files(path: Path, report: RecoverReport) -> list[Path]:
 
     Raises:
         RecordingError: there is no MCAP file.
+        BudgetError: there is none, and `metadata.yaml` is too large.
     """
     try:
         return run_files(path)
@@ -589,7 +590,7 @@ class _Salvage:
         path: the damaged MCAP file, or the tail of one (`writer.Tail`).
         report: report to which damage is added.
         accept_unchecked: whether to accept chunks, messages, attachments and metadata without a checksum.
-        figures: report to which recovered messages are added; None means a new one, which is added to `report`.
+        figures: report of the file, which counts its chunks and messages; None means a new one, added to `report`.
         topics: topics that are already known, by channel id.
     """
 

@@ -37,7 +37,7 @@ _READ_BYTES = 2**20
 
 @attrs.define
 class Checksums:
-    """Coverage of a recording by checksums: how many of its parts carry one."""
+    """Coverage of a recording by checksums: how many chunks, data sections and attachments carry one."""
 
     chunks: int = 0
     checked_chunks: int = 0
@@ -98,7 +98,8 @@ def _check_data_section(source: McapSource) -> bool:
     """Check the data section of a file against its checksum; return whether the section carries one.
 
     Raises:
-        DamageError: the checksum does not match.
+        DamageError: the checksum does not match, the record at the section's end is damaged, or the file has become
+            shorter.
     """
     end = source.data_end()
     try:

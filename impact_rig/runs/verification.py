@@ -172,7 +172,8 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
     """Return the numbers of complete and of incomplete blocks of a recording whose recorder was killed.
 
     A block is complete if no message of another topic can be missing for its time. The last blocks are incomplete,
-    because messages of other topics may arrive later than scans, by `lag_s`.
+    because messages of other topics may arrive later than scans, by up to `reanalysis.lag_s`. The first block always
+    counts as complete.
     """
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
@@ -476,10 +477,10 @@ class _Recorded:
         self._last_ns, self._is_restarted = start_ns, is_restarted
 
     def _has_ended(self) -> bool:
-        """Return whether no recorded message of this rig is left.
+        """Return whether no recorded message of this topic is left from the rig that wrote this journal.
 
-        Either there is none at all, or the rig was restarted after this journal and the next message has an earlier
-        stamp than the last one. A reset is no restart, because stamps continue across it.
+        Either there is none at all, or the rig was restarted after this journal and the topic's next message has an
+        earlier stamp than its last one. A reset is no restart, because stamps continue across it.
         """
         return self.coming is None or (self._is_restarted and self.coming[0] < self._last_ns)
 
@@ -537,9 +538,9 @@ class _Recorded:
     def end(self, end_ns: int, *, restarted: bool, lag_ns: int) -> None:
         """End the journal: the next recorded message, if it is before `end_ns`, counts as a difference.
 
-        If another rig follows, this message does not count, because it may belong to that rig, whose stamps may be
-        earlier. A re-simulated message that was not recorded is a difference as well, if its stamp is more than
-        `lag_ns` before the end.
+        It does not count if no message of the topic has agreed yet, or if another rig follows: it may belong to that
+        rig, whose stamps may be earlier. A re-simulated message that was not recorded is a difference as well, if its
+        stamp is more than `lag_ns` before the end.
 
         Args:
             end_ns: end of the scans of the journal [ns].
@@ -728,7 +729,7 @@ class _OtherTopics:
             self._descriptions.add(robot_description(config))
 
     def compared(self) -> Iterator[Compared]:
-        """Yield the result of each topic of the run except the scans: what was compared, or why it was left out."""
+        """Yield the result of each topic except the scans, also of those that are not in the run."""
         yield self._journal
         known = {topics.SCAN.name, topics.JOURNAL.name}
         for recorded in self._ordered():
@@ -843,7 +844,8 @@ class _OtherTopics:
     def _explained(self, published: Sequence[dict[str, object]]) -> int:
         """Return the number of configurations of the re-simulations that occur in `published`, in the same order.
 
-        They are counted from the first one on; repetitions of a configuration count once.
+        They are counted up to the first one that does not occur. One that several re-simulations in a row have counts
+        once.
         """
         wanted = [one for one, _ in itertools.groupby(self._configurations)]
         count = 0
@@ -937,7 +939,7 @@ class _Monitor:
 
 
 def _monitor_rates_hz(run: Run) -> set[float]:
-    """Return the rates of monitor messages in all recorded configurations [Hz]; the default rate if there is none."""
+    """Return the monitor rates of all recorded configurations [Hz], and the default rate if none was published."""
     usual_hz = RigConfig().output.monitor_rate_hz
     recorded = [text.encode() for text in texts(run, topics.CONFIGURATION)]
     rates_hz = set() if recorded else {usual_hz}
@@ -950,7 +952,7 @@ def _monitor_rates_hz(run: Run) -> set[float]:
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
     """Return the first field of a recorded monitor message that differs, with both values; empty if none does.
 
-    `wanted` has the re-simulated values; a difference smaller than the precision of 32-bit floats does not count.
+    `wanted` has the re-simulated values. A recorded value must equal one exactly, or after rounding to a 32-bit float.
     """
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))

@@ -80,8 +80,10 @@ def allow(what: str, amount: float, limit: float) -> None:
 def factor() -> float:
     """Return the factor by which the environment variable IMPACT_RIG_BUDGET raises all limits; 1 if it is not set.
 
+    `inf` removes all limits.
+
     Raises:
-        BudgetError: the environment variable is not a number >= 1.
+        BudgetError: the environment variable is not a number >= 1, for example empty.
     """
     text = os.environ.get(VARIABLE, "1")
     try:
@@ -144,7 +146,7 @@ MAX_DEPTH = 100  # libyaml's loader uses the stack for each level; a stack overf
 
 
 class PlainYamlError(ValueError):
-    """Invalid YAML: too long, a syntax error, too deep nesting, or a feature beyond plain YAML."""
+    """Invalid YAML: too long, a syntax error, too deep nesting, an alias, a duplicate key or an unknown tag."""
 
 
 def load_yaml(text: str, limit: int) -> object:
@@ -167,7 +169,7 @@ def load_yaml(text: str, limit: int) -> object:
 
 
 class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
-    """Loader that rejects features beyond plain YAML while it composes the nodes, so the text is parsed once."""
+    """Loader that rejects aliases, duplicate keys and deep nesting while it composes nodes: it parses the text once."""
 
     def __init__(self, text: str) -> None:
         Composer.__init__(self)

@@ -44,14 +44,17 @@ _WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
 class SignalReceived(KeyboardInterrupt):
-    """SIGINT or SIGTERM, raised in the main thread so that the program closes files and ends its processes."""
+    """SIGINT or SIGTERM, raised in the main thread so that the program closes files and ends its processes.
+
+    It has no arguments: `Ending.received` says which signal arrived.
+    """
 
 
 class Ending:
     """Handler of SIGINT and SIGTERM for a program; until `run` is called, a signal ends the program immediately.
 
     During `run`, the first signal raises `SignalReceived` in the main thread, again every second while the work goes
-    on, and ends the program after 15 s. Further signals have no effect.
+    on, and ends the program after 15 s. Further signals have no effect. After `run`, both signals are ignored.
 
     Args:
         name: name of the program, for the line printed when a signal arrives.

@@ -308,8 +308,8 @@ def make_folder(path: Path) -> None:
 def state_dir(name: str) -> Path:
     """Return the folder `impact_rig/<name>` for data that a program keeps between its runs, created if needed.
 
-    Its parent is `XDG_STATE_HOME`, else `~/.local/state`. If the folder cannot be written, a new temporary folder is
-    returned instead, whose data the next run does not find.
+    Its parent is `XDG_STATE_HOME`, else `~/.local/state`. If the folder cannot be created, or this user has no
+    permission to write into it, a new temporary folder is returned instead, whose data the next run does not find.
     """
     base = os.environ.get("XDG_STATE_HOME")
     with contextlib.suppress(OSError, RuntimeError):  # no home directory
@@ -333,7 +333,10 @@ def refuse_foreign(directory: Path) -> None:
 
 
 def _put(partial: Path, path: Path) -> None:
-    """Move a file to a path that must not exist, not even as a dangling link; raise FileExistsError if it exists."""
+    """Put a file at a path that must not exist, not even as a dangling link; raise FileExistsError if it exists.
+
+    `partial` may remain, as a hard link to the same file; the caller removes it.
+    """
     try:
         os.link(partial, path)
     except FileExistsError:

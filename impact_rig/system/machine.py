@@ -67,7 +67,7 @@ def identity() -> dict[str, str]:
 
 
 def fingerprint() -> int:
-    """Return `identity` as one number below 2**48, for tables: with equal numbers, equal inputs give equal bits."""
+    """Return a hash of `identity` below 2**48, for tables: if it is equal, the same code computes the same bits."""
     text = "\n".join(f"{name}={value}" for name, value in sorted(identity().items()))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:_FINGERPRINT_BYTES], "big")
 

@@ -69,6 +69,7 @@ class Golden:
         Raises:
             AssertionError: a table differs (the message has the first difference), or there is no golden run yet.
             ConfigError: the rig keeps no tables of a topic, or a topic lacks a column of `tolerances`.
+            RecordingError: the golden run lacks a topic or cannot be read, or the new one cannot be written.
         """
         where = self.directory / "run"
         if self._update:

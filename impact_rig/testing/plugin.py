@@ -158,9 +158,9 @@ def _directory(item: pytest.Item) -> Path:
 
 
 def _starting(request: pytest.FixtureRequest, make: Callable[..., R]) -> Iterator[Callable[..., R]]:
-    """Yield the function of a fixture, which starts a rig with `make` under a name that is unique in the test.
+    """Yield the function of a fixture, which starts a rig with `make` under a name that no open rig of the test has.
 
-    If the test fails, the runs of its rigs are kept. After the test the rigs are closed, except those with a wider
+    If the test fails, the runs of its open rigs are kept. After the test the rigs are closed, except those with a wider
     scope, which later tests use again.
     """
     rigs = request.node.stash.setdefault(_RIGS, [])

@@ -66,7 +66,7 @@ from impact_rig.rig.journal import JournalEntry
 from impact_rig.simtime import NS_PER_S, first_scan_at, stamp_ns
 
 TIMERS, MESSAGES = "timers", "messages"
-"""Names for `hold` and `prefer` that are not topics: all timers of the nodes, and the messages of all topics."""
+"""Sources that are not topics: all timers of the nodes, and for `hold` only, the messages of all topics."""
 KEPT_CALLBACKS = 20_000
 MOST_CALLBACKS = 10_000  # limit at one instant of rig time: nodes that exceed it answer each other without end
 TICK_S, IDLE_S, BUSY_S = 0.2, 1.0, 20.0
@@ -181,8 +181,9 @@ class LocalRigWithNodes(LocalRig):
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
         """Create a node whose callbacks run in rig time, and return it.
 
-        The node's clock is rig time (`use_sim_time`). While a callback sleeps (`time.sleep`), rig time passes, the node
-        runs no other callback, and other nodes continue.
+        The node's clock is rig time (`use_sim_time`). In a callback, `time.sleep` returns at once. What the callback
+        publishes afterwards is delivered when this much rig time has passed. Until then the node runs no further
+        callback, and other nodes continue.
 
         Args:
             make_node: class of the node, or a function that creates it.
@@ -520,10 +521,11 @@ class LocalRigWithNodes(LocalRig):
 
     @contextlib.contextmanager
     def _running(self, hosted: _Hosted, what: str) -> Iterator[None]:
-        """Prepare the `with` block in which code of a hosted node runs: its sleeping takes rig time, not wall time.
+        """Prepare the `with` block in which code of a hosted node runs; in it, `time.sleep` returns at once.
 
-        What the code publishes goes to the queues of the hosted nodes. If the code waits for something else than the
-        end of a sleep, or does not return, `BlockedError` is raised with `what`, the name of the code, in its message.
+        What the code publishes is passed to `_publish_output`, after a sleep only when its rig time has passed. If the
+        code waits for anything else, or does not return, `BlockedError` is raised with `what`, the name of the code, in
+        its message.
         """
 
         def publish(publisher: Any, message: Any) -> None:

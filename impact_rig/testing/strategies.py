@@ -104,9 +104,9 @@ class Pause:
 
 @attrs.frozen
 class Silence:
-    """Silence of the controller for `blocks` blocks.
+    """Silence of the operator: the rig runs `blocks` blocks, and its command timeout is half of this time meanwhile.
 
-    The command timeout is half of this time meanwhile. It counts from the last command, so the rig ramps down after
+    The timeout counts from the last command. Unless a node under test sends one, the rig therefore ramps down after
     half of the blocks at the latest.
     """
 
@@ -211,14 +211,14 @@ class Drop:
 
 @attrs.frozen
 class SetParameter:
-    """Change of a parameter of the nodes under test, after `after` further callbacks."""
+    """Change of a parameter of every node under test that has it, after `after` further callbacks."""
 
     name: str
     value: object
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Let the parameter of the hosted nodes be changed after `after` further callbacks."""
+        """Let the parameter be changed in the hosted nodes that have it, after `after` further callbacks."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).set_parameter(self.name, self.value))
 
 
@@ -240,7 +240,7 @@ class Send:
 
 @attrs.frozen
 class Call:
-    """Call of a service of the nodes under test, with an empty request.
+    """Call of a service, with an empty request, of every node under test that offers it.
 
     It is made after `after` further callbacks of all hosted nodes, counted from this action; 0 is at once.
     """
@@ -314,7 +314,7 @@ def schedules(
 def scenarios(
     changes: Mapping[str, st.SearchStrategy[float | bool]] | None = None, most_actions: int = 8
 ) -> st.SearchStrategy[list[RigAction]]:
-    """Return a Hypothesis strategy for scenarios on any rig: commands, faults, pauses and parameter changes.
+    """Return a Hypothesis strategy for scenarios on any rig: lists of the actions in `RigAction`.
 
     Args:
         changes: strategies for the values of parameters of the rig, by name of the parameter; None means the gap only.

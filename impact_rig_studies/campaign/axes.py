@@ -199,8 +199,8 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
     Args:
         top: content of the file.
         folder: directory of the file, to which `config` is relative.
-        refuse: function that receives key and dotted name of each value in `set`, and raises a ConfigError for a value
-            that must not be set.
+        refuse: function that receives the key `set.NAME` and the dotted name NAME of each value in `set`, and raises a
+            ConfigError for a value that must not be set.
 
     Raises:
         ConfigError: a file cannot be read, a value is wrong, or `refuse` rejects one.

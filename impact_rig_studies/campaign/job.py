@@ -126,7 +126,7 @@ class Job:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def describe(self) -> str:
-        """Return a short name for the reader, such as `gap 4 mm, 9.1 Hz` or `no sphere, 7.5 to 10.5 Hz up`."""
+        """Return gap and frequencies as text, such as `gap 4 mm, 9.1 Hz` or `no sphere, 7.5 to 10.5 Hz up`."""
         gap = case_of(self.gap_m)
         first, last = min(self.frequencies_hz), max(self.frequencies_hz)
         return f"{gap}, {first:g} Hz" if first == last else f"{gap}, {first:g} to {last:g} Hz {self.direction.value}"
@@ -229,5 +229,5 @@ def start_local(job: Job) -> RigDriver:
 
 
 def execute(job: Job) -> Outcome:
-    """Measure a job on a new rig in this process; result and errors are those of `run_job`."""
+    """Measure a job by `run_job` on a new rig in this process (`start_local`)."""
     return run_job(job, start_local)

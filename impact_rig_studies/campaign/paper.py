@@ -91,7 +91,7 @@ class Reductions:
         )
 
     def percent(self) -> dict[float, float]:
-        """Return the reductions 100 (1 − DT / DT without sphere) [%], by gap [m]."""
+        """Return the measured reductions 100 (1 − DT / DT without sphere) [%], by gap [m]."""
         return {gap: 100.0 * (1.0 - value / self.dt_no_sphere) for gap, value in self.dt.items()}
 
     def errors(self) -> dict[float, float]:

@@ -146,7 +146,7 @@ P = TypeVar("P", bound=WorkItem)
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Reply of a worker of a cluster to one job."""
+    """Reply of a worker of a cluster to one job that raised no exception: the result, if any, and the worker's code."""
 
     worker: str  # address of the worker
     code: str  # its `code_fingerprint`
@@ -176,7 +176,7 @@ def _connected(address: str) -> Any:
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:
-    """Run a job if this Dask worker has the client's `code` (a `code_fingerprint`); return the worker's reply."""
+    """Run a job on this Dask worker, but only if its `code_fingerprint` is `code`; else the reply has no result."""
     from distributed import get_worker  # noqa: PLC0415  # an optional dependency
 
     own = code_fingerprint(ROOMS)

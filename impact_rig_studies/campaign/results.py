@@ -82,25 +82,25 @@ class Point:
 
     @property
     def base_m(self) -> float:
-        """Peak amplitude of the inferior base [m], mean of the point's measurements; NaN without one."""
+        """Peak amplitude of the inferior base at the drive frequency [m], mean of the measurements; NaN without one."""
         return self._mean("base_amplitude")
 
     @property
     def laser_m(self) -> float:
-        """Peak amplitude of the superior base [m], mean of the point's measurements; NaN without one."""
+        """Peak amplitude of the superior base at the drive frequency [m], mean of the measurements; NaN without one."""
         return self._mean("laser_amplitude")
 
     @property
     def impacts_per_cycle(self) -> float:
         """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements.
 
-        NaN without a measurement, and if impacts cannot be counted: without an accelerometer, or at a low scan rate.
+        NaN without a measurement, without a sound accelerometer, and at scan rates too low to count impacts.
         """
         return self._mean("impacts_per_cycle")
 
     @property
     def impacts(self) -> bool:
-        """Return whether the orbit counts as impacting: `IMPACTING` impacts per cycle or more; false if unmeasured."""
+        """Return whether the orbit counts as impacting: `IMPACTING` impacts per cycle or more; false for NaN."""
         return self.impacts_per_cycle >= IMPACTING
 
     @property

@@ -93,7 +93,7 @@ class Finished:
 
     @property
     def imported(self) -> bool:
-        """Return whether the points were imported from measured files, and not simulated by this package."""
+        """Return whether the directory was created by an import of measured files: it contains `calibration.json`."""
         return (self.directory / CALIBRATION_FILE).exists()
 
     @property
@@ -125,7 +125,7 @@ class Finished:
         return Calibration.from_info(self.info)
 
     def failed(self) -> list[Point]:
-        """Return the points of jobs with a stored result that lack settled measurements (`Point.settled`)."""
+        """Return the points of jobs with a stored result of which a measurement is missing or did not settle."""
         return [point for point in self.points if not point.settled]
 
 
@@ -185,6 +185,7 @@ def open_finished(directory: str | Path) -> Finished:
 
     Raises:
         ConfigError: `directory` is not the directory of a campaign, or its campaign file or configuration is invalid.
+        BudgetError: the campaign file has more than `budget.POINTS` points.
         DamagedPointError: a stored result is damaged.
     """
     directory = Path(directory)

@@ -265,7 +265,7 @@ class Variation:
     """Verdicts on the paper's statements for one rig of a campaign, the reference rig or one with other constants."""
 
     changed: Mapping[str, Value]
-    """Values of the configuration that differ from the reference rig, by dotted name; empty for the reference rig."""
+    """Values of its study's axes other than frequency, gap and current, by dotted name; empty for the reference rig."""
     verdicts: list[Verdict]
 
 
