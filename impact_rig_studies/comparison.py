@@ -101,7 +101,8 @@ class ComparedPoint:
     def off(self, column: str) -> float:
         """Return measured minus model of the column `transmissibility` or `phase`, divided by its uncertainty.
 
-        The divisor is the standard uncertainty of the difference. The result is NaN if the model did not settle.
+        The divisor is the standard uncertainty of the difference, from the uncertainties of both rows and from the gain
+        of the drive's sensor; without `more`, that gain adds nothing. The result is NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan
@@ -334,8 +335,8 @@ def undone(values: Real, calibration: Calibration, channel: int, drive_hz: float
         values: contiguous readings in the unit of the channel, shape (n,).
         calibration: calibration of the instruments.
         channel: index of the channel in `scans.CHANNELS`.
-        drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, components below `LOWEST_SHARE`
-            of it are removed as drift.
+        drive_hz: frequency of the drive, 0 if unknown. If readings are integrated, components are removed as drift
+            that are below `LOWEST_SHARE` of it, or have less than one cycle in the readings.
     """
     rate = calibration.rate_hz
     around = min(round(MIRRORED_S * rate), len(values) - 1)
@@ -429,8 +430,8 @@ def _model(config: RigConfig, gap_m: float, kind: str) -> RigConfig:
 def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time_s: Real) -> Real:
     """Return an assumed drive before the first scan, at the times `time_s` relative to that scan (< 0 [s]).
 
-    If `structure`, the measured motion, is steady from the first scan on, the drive is the sine of the first cycles of
-    `measured`, rising from zero. Otherwise it is zero.
+    If `structure`, the measured motion, is steady from the first scan on, the assumed drive is the sine of the first
+    cycles of `measured`, the measured drive; it rises from zero in its first `RISE_S`. Otherwise it is zero.
     """
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):
@@ -499,7 +500,7 @@ def drawn(found: Comparison, name: str) -> Drawn:
     """Draw a comparison in three panels; `name` is the run's name in the title.
 
     The panels show measured minus model in standard uncertainties, the motion of the structure in the last cycles, and
-    the spectra of this motion and of its difference from the model.
+    the spectra of its measured motion and of the difference from the model over the whole excerpt.
     """
     figure, (apart, traces, lines) = new_axes(7.5, (1.0, 1.0, 1.0), WIDE_INCH, share=False)
     rate, drive = found.excerpt.rate_hz, found.excerpt.drive_hz

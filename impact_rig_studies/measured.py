@@ -58,9 +58,9 @@ def make_campaign(runs: Sequence[Path], directory: Path, config: Path | None = N
     """Write a campaign from imported runs; return it, and a line of text for each point left out as it never settled.
 
     Properties of the instruments that a certificate, a mapping or an option states must be the same in all runs.
-    Properties that the import estimated from the data may differ, scan rates only by `SAME_RATE`: the campaign then has
-    the first run's value, and of several resolutions the coarsest. If the same run measured a point several times, its
-    last settled measurement counts.
+    Properties that the import estimated from the data may differ, scan rates only by `SAME_RATE`. The campaign then has
+    a stated value, or if all are estimated, the first run's, and of several resolutions the coarsest. If the same run
+    measured a point several times, its last settled measurement counts.
 
     Args:
         runs: imported runs of one rig, with the same instruments.

@@ -136,7 +136,7 @@ class Manifold:
 
     @property
     def theta_fold(self) -> float:
-        """Θ at the fold, κ/(κ² + ρ²): at a given gap, the motion with the smallest possible amplitude A."""
+        """Θ at the fold, κ/(κ² + ρ²): at a given gap, the motion with the smallest amplitude A of the structure."""
         return self.kappa / (self.kappa**2 + self.rho**2)
 
     @property
@@ -172,14 +172,17 @@ class Manifold:
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
 
     def impact_phase_rad(self, theta: Real) -> Real:
-        """Return α: the phase of the structure past its right turning point when the sphere strikes the right wall."""
+        """Return α: the phase of the structure past its right turning point when the sphere strikes the right wall.
+
+        `theta` is Θ, the amplitude of the sphere over half the gap.
+        """
         found: Real = np.arctan2(self.rho * theta, self.kappa * theta - 1.0)
         return found
 
     def approach_speed(self, theta: Real) -> Real:
         """Return the sphere's speed relative to the wall before an impact, 4Θ(1 + μ) / (π(1 + e)).
 
-        Its unit is ω b, with b half the gap.
+        Its unit is ω b, with b half the gap. `theta` is Θ, the amplitude of the sphere over b.
         """
         found: Real = 4.0 * (1.0 + self.mass_ratio) / (math.pi * (1.0 + self.restitution)) * theta
         return found
@@ -187,7 +190,7 @@ class Manifold:
     def stable(self, theta: Real) -> NDArray[np.bool_]:
         """Return for each Θ (sphere's amplitude over half the gap) whether small errors of the sphere's motion decay.
 
-        The motion of the structure is taken as given, so the recoil of the impacts is neglected.
+        The motion of the structure is taken as given. Its recoil only affects the lower bound of Θ, the fold.
         """
         found: NDArray[np.bool_] = (theta > self.theta_fold) & (theta < THETA_SYMMETRIC)
         return found
@@ -206,7 +209,7 @@ _AT_ONCE = 32  # number of frequencies whose gaps are computed together, such th
 
 @attrs.frozen(eq=False, kw_only=True)
 class Branch:
-    """Motions with two symmetric impacts per cycle, in order along one curve; every attribute has the shape (n,).
+    """Motions with two symmetric impacts per cycle, such as those along a curve; every attribute has the shape (n,).
 
     Attributes:
         frequency_hz: frequency of the drive.
@@ -332,7 +335,10 @@ class LinearRig:
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gaps [m] at which motions with these Θ occur; `theta` and `frequency_hz` are broadcast."""
+        """Return the gap [m] at which the motion with each Θ occurs; every Θ has one.
+
+        `theta` and `frequency_hz` are broadcast.
+        """
         return self._answer(theta, frequency_hz, held).gap_m
 
     def _answer(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> _Answer:
@@ -466,7 +472,8 @@ def branch(
         recoil: whether the structure recoils in an impact, to first order in m/m_1; False means the published formulas.
 
     Raises:
-        ConfigError: the prediction does not apply to the configuration, or not exactly one constant quantity is given.
+        ConfigError: the prediction does not apply to the configuration; or not exactly one constant quantity is given,
+            or it is not finite and > 0.
     """
     rig = LinearRig.of(config, recoil=recoil)
     return rig.motions(rig.thetas(), frequency_hz, HeldDrive(current_a, base_m, superior_m))
@@ -482,10 +489,10 @@ def at(
     superior_m: float | None = None,
     recoil: bool = True,
 ) -> Branch:
-    """Return all motions with two symmetric impacts per cycle at one frequency and gap, the largest Θ first.
+    """Return all motions with two symmetric impacts per cycle at one frequency and gap.
 
-    The branch has the length 0 if there are none. The range of Θ, and the arguments other than the gap, are those of
-    `branch`.
+    The largest amplitude of the sphere is first. The branch has the length 0 if there are no such motions. Those that
+    `branch` leaves out are left out here too. The arguments other than the gap are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -508,8 +515,8 @@ def curves(
     """Return the motions with two symmetric impacts per cycle at one gap, as curves over the frequency.
 
     Each branch in the list is one continuous curve; the list is empty if there are no such motions. Curves end, and new
-    ones begin, where the number of motions at a frequency changes. The arguments other than `frequencies_hz`
-    (ascending, shape (n,)) and `gap_m` are those of `branch`.
+    ones begin, where the number of motions at a frequency changes. Exactly one of `current_a`, `base_m` and
+    `superior_m` must be given. The arguments are those of `branch`, but `frequencies_hz` is ascending, shape (n,).
 
     Raises:
         ConfigError: as for `branch`.
@@ -533,7 +540,7 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
     m/m_1; False means the published formulas.
 
     Raises:
-        ConfigError: as for `branch`.
+        ConfigError: the prediction does not apply to the configuration.
     """
     rig = LinearRig.of(config, recoil=recoil)
     c, theta = rig.linear, rig.thetas()

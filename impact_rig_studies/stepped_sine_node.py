@@ -159,7 +159,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
             self._scans = None
 
     def rig_time_ns(self) -> int | None:
-        """Return the rig time of the newest message from the rig [ns]; None if none arrived since the activation."""
+        """Return the rig time of the newest base displacement [ns]; None if none arrived since the activation."""
         return self._now_ns
 
     def doing(self) -> NodeState:
@@ -263,7 +263,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Interface of the operator
 
     def now_ns(self) -> int:
-        """Return the rig time of the newest message from the rig [ns]; 0 if none arrived since the activation."""
+        """Return the rig time of the newest base displacement [ns]; 0 if none arrived since the activation."""
         return self._now_ns or 0
 
     def _drive(self, setpoint: Setpoint) -> None:

@@ -52,7 +52,7 @@ class WorkItem(Protocol):
 
     @property
     def key(self) -> str:
-        """Identifier of the job or task: a digest of all values that determine its result."""
+        """Identifier of the job or task: a digest of all its values that determine its result, but not of the code."""
 
     def describe(self) -> str:
         """Return a short name of the job or task for the reader."""
@@ -64,7 +64,7 @@ class HashedTask:
 
     @property
     def key(self) -> str:
-        """Identifier of the task: 16 hexadecimal digits, a digest of the values of all its attributes."""
+        """Identifier of the task: 16 hexadecimal digits, a digest of all its attributes, but not of the code."""
         return hashlib.sha256(json.dumps(attrs.asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -111,7 +111,8 @@ class TaskStore(Generic[T]):
         In the directory of a study of the same kind and rig, this replaces the definition and keeps the results.
 
         Raises:
-            RecordingError: the directory cannot be written, or contains other files or results of another rig.
+            RecordingError: the directory cannot be written, is not empty and has no file `<what>.yaml`, or contains
+                results of another rig.
         """
         refuse_other_results(self.directory, self.what, base)
         with files.translate_errors(f"cannot write {self.directory}"):

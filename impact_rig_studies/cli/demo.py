@@ -141,7 +141,7 @@ def _job(config: RigConfig, gap_m: float) -> Job:
 
 
 class Screen:
-    """Progress display of the demo: one bar per gap on a terminal, otherwise a line of text for every change."""
+    """Progress display of the demo: a bar per gap on a terminal, otherwise a line of text per settled measurement."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)

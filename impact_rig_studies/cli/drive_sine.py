@@ -86,8 +86,8 @@ def _job(arguments: argparse.Namespace) -> Job:
 def run_hold(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
 
-    The code is 1 if the test ended early, a frequency was not measured, or an amplitude is outside the tolerance, else
-    0.
+    The amplitude is that of the coil current, or of the displacement of the inferior or superior base. The code is 1 if
+    the test ended early, a frequency was not measured, or an amplitude is outside the tolerance, else 0.
     """
     unit = HELD_UNITS[arguments.what]
     try:
@@ -265,7 +265,7 @@ def _write(
 def _tell(
     arguments: argparse.Namespace, directory: Path, table: TextTable, sentence: str, content: Mapping[str, object]
 ) -> None:
-    """Print the results of a test: table, sentence, and their directory as the last line; or all of this as JSON."""
+    """Print table, sentence and directory of a test's results; with `--json` only `content` and directory, as JSON."""
     console = Console(quiet=arguments.json)
     console.print(table)
     if sentence:

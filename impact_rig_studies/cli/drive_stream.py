@@ -150,21 +150,22 @@ def _progress() -> Console:
 
 
 def _drive(arguments: argparse.Namespace, title: str, unit: str, work: Work, of: str = "") -> int:
-    """Run a test on a rig, record it, write and print its results even if it ends early, and return the exit code.
+    """Run a test that streams samples to a rig, record it, write and print its results, and return the exit code.
 
-    The code is 1 if the test ended early, or if a key figure cannot be computed (`ResultSummary.missing`); else 0.
+    Results are written and printed even if the test ends early. The code is 1 if it ended early, or if there is no
+    result (`ResultSummary.missing`); else 0.
 
     Args:
         arguments: parsed arguments of the test.
         title: title of the results.
         unit: unit of the response.
         work: function that drives the rig, and yields its result so far repeatedly.
-        of: text after a line of progress, such as ` of 20`.
+        of: text after each line of progress that reports a result, such as ` of 20`.
 
     Raises:
         ConfigError: the configuration does not drive the shaker with a current.
         ImpactRigError: the test ended before `work` yielded anything.
-        KeyboardInterrupt: the user interrupted the test; results so far have been written.
+        KeyboardInterrupt: the user interrupted the test; results so far, if any, have been written.
     """
     from impact_rig_studies.report.excitation import document, tell  # noqa: PLC0415  # matplotlib
 

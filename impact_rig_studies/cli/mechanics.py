@@ -100,7 +100,7 @@ def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans
         runner: function that computes missing exponents; None means that only stored ones are added.
 
     Returns:
-        The number of points with an exponent.
+        The number of points whose task has a stored result, even if that is NaN.
     """
     axes, wanted = done.plan.axes, []
     for line in done.plan.lines():

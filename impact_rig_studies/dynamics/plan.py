@@ -214,8 +214,8 @@ def _front(task: StudyTask, number: int) -> dict[str, object]:
 def direction_of(task: StudyTask) -> str:
     """Return the order in which a task of a bifurcation diagram visits its parameter values: `up`, `down` or `reset`.
 
-    With `up` and `down` the motion at each value continues from that at the previous value; with `reset` each motion
-    starts from rest.
+    With `up` and `down` the motion at each value continues from that at the previous value, unless that one could not
+    be simulated; with `reset` each motion starts from rest.
     """
     values = task.what["values"]
     assert isinstance(values, Sequence)
@@ -235,8 +235,8 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
         kind: kind of study, one of `KINDS`.
 
     Raises:
-        ConfigError: the directory is not that of a dynamics study of this kind, or contains no results of it from this
-            code yet.
+        ConfigError: the directory is not that of a dynamics study of this kind, or contains no row of results of it
+            from this code.
     """
     kept = store(directory)
     plan = load(kept.file, kind, kept.configuration())
@@ -726,7 +726,8 @@ def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float
     Impacts have ceased if there is none in `CHUNK` cycles.
 
     Returns:
-        Index of the attractor in `attractors`, or −1 if the motion approaches none, and the number of simulated cycles.
+        Index of the attractor in `attractors` (from `_attractors`), or −1 if impacts cease or the motion approaches
+        none, and the number of simulated cycles.
 
     Raises:
         SimulationError: the motion cannot be simulated.

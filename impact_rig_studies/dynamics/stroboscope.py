@@ -61,7 +61,7 @@ class Place(NamedTuple):
 class Energy(NamedTuple):
     """Energy balance of a motion: work done by the drive, and losses in the parts of the rig, per drive cycle [J]."""
 
-    work: float  # work of the shaker's force, or of the force that moves a prescribed inferior base
+    work: float  # work of the coil's force or voltage, or of the force that moves a prescribed inferior base
     columns: float  # loss in the columns that carry the superior base
     shaker: float  # loss in the shaker
     contact: float  # loss in the contacts of the sphere with the walls
@@ -165,7 +165,7 @@ class Stroboscope:
 
         Args:
             rig: the rig with the settled motion.
-            p: dimensionless parameter at which it was measured.
+            p: dimensionless parameter at which it was measured: value of the parameter divided by `unit`.
             reading: measurement of the motion; if its period is NaN, one cycle is used as the period of the map.
 
         Raises:
@@ -289,7 +289,10 @@ class Stroboscope:
         return np.full(len(self._free), math.nan) if state is None else state[self._free] / self.scale
 
     def note(self, one: Orbit) -> OrbitSummary:
-        """Return the summary of an orbit whose coordinates refer to the present section and scale of the map."""
+        """Return the summary of an orbit, with its SI state at the present section of the map.
+
+        Its coordinates must refer to that section, and to the present scale.
+        """
         state = self._whole(one.z, self._found(one.p)[0])
         return OrbitSummary(self.properties(one.z, one.p), self.cycles, self.turn, tuple(state.tolist()))
 
@@ -418,10 +421,10 @@ class Stroboscope:
         return state
 
     def _moved(self, z: Real, p: float, turn: float) -> Real:
-        """Return the coordinates of the motion through z at a new section, when the drive next has the phase `turn`.
+        """Return the coordinates of the motion through z when the drive next has the phase `turn` [turns].
 
-        The map uses the new section from now on. The coordinates are NaN if the sphere is in contact with a wall there;
-        z itself is returned if it is NaN or the section is unchanged.
+        This phase becomes the section of the map. The coordinates are NaN if the sphere then touches a wall.
+        If z is NaN or `turn` is the present section, the section is kept and z is returned.
         """
         later = (turn - self.turn) % 1.0
         if later == 0.0 or not np.isfinite(z).all():  # a point in a contact at an earlier section stays unknown
@@ -452,7 +455,7 @@ def at(place: Place, over: str, value: float) -> Place:
 
 
 def _longest_flight(motion: Motion, cycles: int) -> float:
-    """Return the phase of the drive best suited as a section of a motion, in turns.
+    """Return the phase best suited as a section of a motion, in turns of the drive after the start of `motion`.
 
     It is the middle of the longest part of the drive cycle in which the sphere touches no wall in any of the cycles; 0
     if there are no contacts.

@@ -129,7 +129,7 @@ def history(
     """Read a time history from a file or a recorded run, convert it to SI units, and resample it for the rig.
 
     Args:
-        path: a run, or a file that `impact-rig import` reads.
+        path: a run (a directory, or a file `.mcap`), or another file that `impact-rig import` reads.
         rate_hz: number of samples per second of the result.
         wanted: SI unit of the result, such as m or A.
         name: name of the signal in a file, or of the channel in a run; None means the only signal of a file, or
@@ -235,7 +235,7 @@ def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
 
     Raises:
         ConfigError: the last time is not after the first, or a time is off the even grid from the first to the last by
-            more than half a period plus the last digit of the times.
+            more than half a period plus the resolution of the times (`step_of`).
     """
     period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     if not period_s > 0.0:

@@ -78,7 +78,7 @@ class ReplicatePlan:
         high_hz: upper edge of that band.
         iterations: maximum number of trials, including the first.
         enough: rms error over rms of the requested history at or below which the trials end.
-        rest_s: time without drive before and after the history in each trial [s].
+        rest_s: time before and after the history in each trial [s]; its outer half is without drive.
         identify_rms: rms of the drive while the response function is measured [A].
         identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
             played.
@@ -273,7 +273,7 @@ def _fade(count: int, lead: int) -> Real:
 
 
 def _burst(plan: ReplicatePlan, rate_hz: int, drive: Real, h: Complex, inverse: Complex) -> Real:
-    """Return the drive of the largest allowed burst, with a rest before and after it [A], shape (n,), n <= m.
+    """Return the drive of the largest burst to play before a trial, with a rest around it [A], shape (n,), n <= m.
 
     Its peak does not exceed the peak of the history's drive. The peak of the superior base's motion that it causes does
     not exceed the peak that the history's drive causes.
@@ -314,8 +314,8 @@ def _identify(
         calibration: calibration of the sensors.
 
     Returns:
-        For each response (H, 1 / H) at the lines of `numpy.fft.rfft`, both 0 outside of the band. 1 / H fades out at
-        the edges of the band, and is reduced where noise hides H.
+        For each response (H, 1 / H) at the lines of `numpy.fft.rfft`, both 0 below `low_hz` / 2 and above `ABOVE` times
+        `high_hz`. 1 / H fades out from the edges of the band to these limits, and is reduced where noise hides H.
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
@@ -364,7 +364,7 @@ STEP_S = 1.0  # rig time between two results of `play` [s]
 
 @attrs.frozen(eq=False, kw_only=True)
 class Played:
-    """Part of a time history that has been played unchanged so far, and the scans measured during it."""
+    """Part of a time history that `play` has sent to the drive so far, and the scans measured during it."""
 
     rate_hz: int  # number of samples, and of scans, per second
     asked: Real  # samples that were played, after clipping, shape (n,); A, m or V by `drive.kind`

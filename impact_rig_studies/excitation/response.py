@@ -67,7 +67,7 @@ class Response(enum.StrEnum):
         return CHANNELS.index(self.channel)
 
     def of(self, rows: NDArray[np.void], calibration: Calibration, top_hz: float) -> Real:
-        """Return the motion that the channel of this response measured, corrected for its sensor, shape (n,).
+        """Return the motion that the channel of this response measured, corrected as in `motion`, shape (n,).
 
         It is in `unit`, except that `BASE_ACCELERATION` gives the displacement [m]: only spectra are converted to an
         acceleration, by `weight`.
@@ -159,8 +159,9 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Measure the frequency response of one channel relative to another while driving the rig with an excitation.
 
-    Lag, skew and high-pass of the sensors are corrected by their calibration. The uncertainty `u_relative` includes
-    that of their gains.
+    Lag, skew and high-pass of the sensors are corrected by their calibration. The channels of the bases count as
+    displacements, also if their sensors measure velocity or acceleration. The uncertainty `u_relative` includes that of
+    the sensors' gains.
 
     Args:
         hardware: output and acquisition, with equal rates.

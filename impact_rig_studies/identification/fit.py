@@ -202,7 +202,10 @@ LEAST_RESTITUTION, MOST_RESTITUTION = 0.02, 0.98  # range of a fitted e
 
 @attrs.frozen(eq=False)
 class Alternative:
-    """Set of constants that explains the data, out of several clearly different ones, with its probability."""
+    """Set of constants that explains the data, out of several clearly different ones, with its probability.
+
+    The probabilities may add up to less than 1, because improbable sets are left out.
+    """
 
     share: float  # probability of this explanation, between 0 and 1
     log_constants: Real  # logarithms of the constants in the order of `NAMES`
@@ -245,7 +248,10 @@ class Identified:
 
     @property
     def consistent(self) -> bool:
-        """Return whether the fit has converged, `chance` is at least `SIGNIFICANCE`, and no gap is `contradicted`."""
+        """Return whether the fit has converged, `chance` is at least `SIGNIFICANCE`, and no gap is `contradicted`.
+
+        At a contradicted gap the measured motion is periodic, but the simulated one is clearly not.
+        """
         return self.converged and self.chance >= SIGNIFICANCE and not self.contradicted
 
     @property

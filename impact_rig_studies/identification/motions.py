@@ -123,10 +123,10 @@ class SettledRig:
     ) -> tuple[Real, float]:
         """Return the derivatives of `motion.log_ratio` by parameters, and the roughness of this function.
 
-        The mean of an irregular motion jumps under small changes of any parameter, so that log_ratio scatters about its
-        linear dependence. The roughness is √2 times the standard deviation of this scatter: that of the difference of
-        two values, because the measured motion and the simulated one both scatter. It is 0 for a stable periodic orbit.
-        The call advances the simulated rig.
+        The function is ln(DT with the sphere / DT without). The mean of an irregular motion jumps under small changes
+        of any parameter, so that log_ratio scatters about its linear dependence. The roughness is √2 times the standard
+        deviation of this scatter: that of the difference of two values, because the measured motion and the simulated
+        one both scatter. It is 0 for a stable periodic orbit. The call advances the simulated rig.
 
         Args:
             neighbour: `neighbour(i, step)` returns the rig with the i-th parameter changed by `step`.

@@ -136,8 +136,8 @@ def _reductions(base: RigConfig, at: Real) -> Real:
     """Simulate the rig at 9.1 Hz with each of the five gaps of the paper, and return the reductions of DT [%], (5,).
 
     Args:
-        base: rig with the known values.
-        at: logarithms of the values in `ALL`.
+        base: rig with all other values.
+        at: logarithms of the values in `ALL`, among them the current.
     """
     config, current_a = rig(base, at[:-1]), float(np.exp(at[-1]))
     motions = [simulated(config, gap, FREQUENCY_HZ, current_a) for gap in REDUCTION_PERCENT]

@@ -50,11 +50,12 @@ LONGEST_GUESSED = 200  # longest heading, in characters, that is compared
 def guess(source: ImportedSignals) -> Mapping:
     """Return the mapping that headings, units and the name of a file suggest; parts without a clue are left out.
 
-    A signal named like a channel is that channel. After that, words of other programs decide (`HINTS`), and then units:
-    the only signal left with a unit of acceleration is the accelerometer, the only one with a unit of current the
-    current. If no signal is found for `laser` (the motion of the structure), but there are an accelerometer on the
-    structure and a `base`, the accelerometer's signal is used for `laser` as well. A signal named `frequency` or `gap`
-    takes precedence over the file name.
+    Channels come from the largest group of signals with common times. If only one of `laser` and `base` is found there,
+    the other one may have different times. A signal named like a channel is that channel. After that, words of other
+    programs decide (`HINTS`), and then units: the only signal left with a unit of acceleration is the accelerometer,
+    the only one with a unit of current the current. If no signal is found for `laser` (the motion of the structure),
+    but there are an accelerometer on the structure and a `base`, the accelerometer's signal is used for `laser` as
+    well. A signal named `frequency` or `gap` takes precedence over the file name.
     """
     free = _of_one_time_base(source.signals)
     chosen: dict[str, Channel] = {}

@@ -207,8 +207,8 @@ class Times:
         """Convert the cells of a column.
 
         Raises:
-            ValueError: a cell is not a time, or its date does not exist; the message is the text of the cell, with the
-                order of day and month in which the column is read.
+            ValueError: a cell is not a time, or its date does not exist. The message is the text of the cell. For a
+                date such as 31/2/2026 it also states the order of day and month in which the column is read.
         """
         self.has_date = self.has_clock = False
         self._month_first = self._is_month_first(cells)

@@ -51,7 +51,7 @@ MOST_SCALARS = 100
 
 @attrs.define
 class _Axis:
-    """Abscissa that the columns of a table define, before it is combined with a stated rate."""
+    """Abscissa (times, frequencies) that the columns of a table define, before it is combined with a stated rate."""
 
     kind: AbscissaKind = AbscissaKind.NONE
     name: str = ""
@@ -81,7 +81,7 @@ def signals_of(
     Args:
         path: the file.
         file_format: name of the format for messages.
-        columns: columns by heading, shape (n,) or (n, k); a rate or a period has a single value.
+        columns: columns by heading, shape (n,) or (n, k); n may differ, and a rate or a period has a single value.
         column_units: units by heading, if they are not part of it.
         rate_hz: rate that the file states outside the columns; a column such as `fs` or `dt` takes precedence.
         remarks: assumptions that the reader of the file made, for the user.

@@ -81,7 +81,8 @@ def convert(
         drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current`
             [A peak]. None means that the mapping states the frequency, or if it does not, that it is found in the data.
         sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence.
-            Resolution, skew and rate that neither states are estimated from the data; all other properties are ideal.
+            Resolution and skew that neither states are estimated from the data; all other properties are ideal. A rate
+            in the table is ignored.
 
     Raises:
         ConfigError: no channel is mapped, a mapped signal does not exist, a unit is not possible for its channel, times
@@ -282,7 +283,7 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 class _Instants:
     """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns].
 
-    Stamps count from the same instant as `start_ns`.
+    Missing scans have no position. Stamps count from the same instant as `start_ns`.
     """
 
     index: NDArray[np.int64]
@@ -310,9 +311,9 @@ def _calibration(
 ) -> tuple[NDArray[np.void], dict[str, tuple[str, ...]]]:
     """Return rows of `daq/info` for the channels, and by channel the columns that were estimated from the data.
 
-    The mapping takes precedence over the table of calibration (`sheet`). Resolution, skew and rate that neither states
-    are estimated from the values and times of the signals. Any other property that neither states is ideal: no error,
-    no delay, an unlimited range.
+    The mapping takes precedence over the table of calibration (`sheet`). Resolution and skew that neither states are
+    estimated from the values and times of the signals. Any other property that neither states is ideal: no error, no
+    delay, an unlimited range. The rate is always `rate`; it counts as estimated unless the mapping states it.
 
     Raises:
         ConfigError: the lower end of a channel's range is not below the upper end.

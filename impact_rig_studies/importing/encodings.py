@@ -34,7 +34,7 @@ def decode(content: bytes) -> tuple[str, str]:
 
     A byte order mark decides. Without one, the encoding is UTF-16 if many of the first bytes are zero. Otherwise it is
     the first of UTF-8, cp1252 and Latin-1 in which all bytes are valid. Behind a byte order mark and in UTF-16, invalid
-    bytes become U+FFFD. No content is an error.
+    bytes become U+FFFD. Any bytes are accepted.
     """
     for mark, name in MARKS:
         if content.startswith(mark):

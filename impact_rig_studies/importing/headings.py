@@ -209,7 +209,7 @@ SAME_RATE = 0.05  # largest relative difference of two statements of one rate, o
 
 
 class StatedRate(NamedTuple):
-    """Sampling rate that lines around a table state."""
+    """Sampling rate that lines around a table state, if any, with a note for the user."""
 
     hz: float | None = None  # None if no rate is stated, or several that differ by more than 5 %
     note: str = ""  # assumption about it, or the several rates, for the user; empty if none

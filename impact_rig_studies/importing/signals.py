@@ -49,7 +49,7 @@ class AbscissaKind(enum.StrEnum):
 
 @attrs.frozen(eq=False)
 class Abscissa:
-    """Times or frequencies at which a signal is given: evenly spaced, or listed one by one.
+    """Times or frequencies at which a signal is given: evenly spaced, listed one by one, or both.
 
     Times are always in seconds, also if `unit` is another one; all other values are in this unit.
     """

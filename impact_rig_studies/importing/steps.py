@@ -59,9 +59,10 @@ def step_of(values: Real) -> float:
 
 
 def _common_divisor(apart: Real, rounding: float) -> float:
-    """Return the largest number of which all differences are multiples within `rounding`; 0 if there is none.
+    """Return the largest number of which all differences `apart` of values are multiples; 0 if there is none.
 
-    A number of which the differences may be multiples by chance (`CHANCE`) does not count.
+    `rounding` is the uncertainty of a difference, and smaller differences are ignored. A number of which the
+    differences may be multiples by chance (`CHANCE`) does not count.
     """
     apart = np.sort(apart[apart > rounding])
     step = float(apart[0]) if len(apart) else 0.0

@@ -69,13 +69,13 @@ class Grid:
 def aligned(
     path: Path, abscissas: AnyMapping[str, Abscissa], found: AnyMapping[str, Real]
 ) -> tuple[Abscissa, dict[str, Real]]:
-    """Return common times for signals with different times, and the signals interpolated at these times.
+    """Return common times for signals with different times, and the signals interpolated there by splines (`_spline`).
 
     The common times are those of the signal with the smallest period, from the latest start to the earliest end of all.
 
     Raises:
-        ConfigError: a signal has no times or misses scans, its times do not increase, a value is not finite, or the
-            signals have fewer than two times in common.
+        ConfigError: a signal has neither times nor a rate, misses scans, or has fewer than 2 values. Or its times do
+            not increase, a value is not finite, or the signals have fewer than two times in common.
     """
     times: dict[str, Real] = {}
     for name, one in abscissas.items():
@@ -129,7 +129,7 @@ def _spline(times: Real, values: Real) -> scipy.interpolate.BSpline:
 def likely_rate(measured_hz: float, uncertainty_hz: float) -> Rate:
     """Return the exact rate [Hz] that most likely underlies a measured one within its uncertainty.
 
-    It is the first of these that exists within the uncertainty:
+    A whole rate is an int, any other a float. It is the first of these that exists within the uncertainty:
 
     1. the only whole number there, or the whole number that equals the measured rate;
     2. a usual clock rate (`CLOCKS_HZ`) divided by a whole number;

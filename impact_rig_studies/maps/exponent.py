@@ -54,9 +54,10 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
 
     Args:
         f: map of the motion: `f(z, count)` returns the coordinates `count` returns after z, or NaN if the state does
-            not determine the motion there, because the sphere is in contact with a wall.
+            not determine the motion there, because the sphere is in contact with a wall. Such returns are skipped; the
+            exponent is NaN only after `_OUT_OF_SIGHT` of them in a row.
         z: dimensionless coordinates at the section, shape (n,).
-        returns: number of returns in each window.
+        returns: number of returns in each window, more only if its last ones are skipped.
         windows: number of averaged windows, at least 2; a further one before them lets the distance of the two states
             turn into the direction of fastest growth.
     """
@@ -64,7 +65,7 @@ def largest(f: Callable[[Real, int], Real], z: Real, returns: int, windows: int 
 
 
 def in_windows(f: Callable[[Real, int], Real], z: Real, returns: int) -> Iterator[float]:
-    """Yield the mean exponent per return in each window, without end; arguments as for `largest`.
+    """Yield the mean exponent per return in each window after the first, without end; arguments as for `largest`.
 
     If the sphere is in contact with a wall at `_OUT_OF_SIGHT` returns in a row, NaN is yielded, and then nothing more.
     """

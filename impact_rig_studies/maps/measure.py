@@ -365,9 +365,9 @@ class MapRig:
 def _series(record: _Record, frequency_hz: float) -> NDArray[np.complex128] | None:
     """Return x_b, x_1, x_2 and v_2 of each cycle, divided by sizes of the motion, shape (4, cycles).
 
-    The complex amplitude x_b of the inferior base is divided by the magnitude |X_b| of its mean over all cycles, the
-    other three by that of the superior base, |X_1|. The velocity is also divided by the drive frequency in rad/s. The
-    result is None if X_b or X_1 is zero.
+    x_b and x_1 are the complex amplitudes of the bases, x_2 and v_2 the sphere's position and velocity at the start of
+    the cycle. x_b is divided by |X_b|, the magnitude of its mean over all cycles, and the other three by |X_1|, that of
+    x_1. The velocity is also divided by the drive frequency in rad/s. The result is None if X_b or X_1 is zero.
     """
     series = np.array([record.cycles[name] for name in ("x_b", "x_1", "x_2", "v_2")])
     base, superior = np.abs(series[:2].sum(axis=1)).tolist()

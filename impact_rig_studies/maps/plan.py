@@ -106,12 +106,13 @@ class MapLine(HashedTask):
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
-        """Return everything that defines the point of the line at one value of its axis.
+        """Return what defines the point of the line at one value of its axis.
 
         Returns:
-            Configuration values by dotted name, frequency [Hz] and amplitude (A, m or V by `drive.kind`) of the drive,
-            and the sphere's initial position [m] and speed [m/s]. The last is None if no axis sets them; then
-            `sphere.start` applies. If only one of the two is an axis, the other is 0.
+            Configuration values that axes set, by dotted name, in addition to `changes`. Then frequency [Hz] and
+            amplitude (A, m or V by `drive.kind`) of the drive, and the sphere's initial position [m] and speed [m/s].
+            The last is None if no axis sets them; then `sphere.start` applies. If only one of the two is an axis, the
+            other is 0.
         """
         at = {**self.held, self.along: value}
         frequency, current = at.pop(FREQUENCY, self.frequency_hz), at.pop(CURRENT, self.current_a)
@@ -203,9 +204,9 @@ class MapPlan:
         Args:
             along: name of the axis along the line, or of the parameter that is searched for.
             values: its ascending values.
-            held: values that replace those of `base`, by name of axis; None means none.
-            layer: one of `layers`: `up` or `down` (the values are taken from the last to the first), `reset`, or a
-                start of the sphere; by default each point starts from rest.
+            held: values that replace those of the plan, by name of axis; None means none.
+            layer: one of `layers`: `up`, `down` (only then the points run from the last of `values` to the first),
+                `reset` or a start of the sphere (for both, each point starts from rest).
         """
         return MapLine(
             changes={**self.changes, "sphere.start": layer} if layer in STARTS else self.changes,

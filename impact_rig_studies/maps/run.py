@@ -68,8 +68,8 @@ class FinishedMap:
     def to_xarray(self) -> Any:
         """Return the map as an `xarray.Dataset` whose dimensions are its axes and `direction`.
 
-        If the plan lists several starts of the sphere, the last dimension is `start` instead of `direction`. Points
-        that are not measured are NaN.
+        If the plan lists starts of the sphere, the last dimension is `start` instead of `direction`. Points that are
+        not measured are NaN, or empty in columns of text. Values of an axis without any measured point are missing.
 
         Raises:
             ImpactRigError: xarray is not installed, or no point is measured yet.

@@ -77,7 +77,7 @@ class Sample(NamedTuple):
 
     @property
     def dt(self) -> float:
-        """Transmissibility: amplitude of the superior base over that of the inferior base."""
+        """Transmissibility: amplitude of the superior base over that of the inferior base, which must not be 0."""
         return abs(self.superior) / abs(self.base)
 
     @property
@@ -169,7 +169,7 @@ class PhaseLock:
         stage: stage of a running lock.
         reason: reason why the lock was aborted; empty otherwise.
         frequency_hz: commanded frequency.
-        current_a: commanded peak current.
+        current_a: commanded peak current [A] (m or V by `drive.kind`).
         locked_ns: rig time of the first lock, or None.
         u_gain: `Sample.u_gain` of the newest sample; 0 before the first.
     """
@@ -573,7 +573,7 @@ class LockLoop:
         self._setpoint = setpoint
 
     def sample(self, seconds: float) -> Sample | str:
-        """Advance the rig by some seconds of rig time, in whole blocks, and return the sample of the motion in them.
+        """Advance the rig by the nearest number of blocks to some seconds, at least one, and return the sample in them.
 
         If there is no sample, the reason is returned as text for the user: why the shaker is stopped, or that the time
         was too short.
@@ -704,8 +704,9 @@ class AmplitudePoint:
 def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[AmplitudePoint], str]:
     """Measure a backbone curve: lock the phase at each current, first ascending then descending, and average.
 
-    The measurement ends early if the lock is aborted, also because the phase does not lock at the first current. A
-    later point at which it does not lock in time is measured as well, and marked as not locked.
+    The measurement ends early if the lock is aborted: the shaker stops, a sample is too short or not `sound`, the
+    superior base exceeds its limit, or the phase does not lock at the first current. A later point at which it
+    does not lock in time is measured as well, and marked as not locked.
 
     Args:
         sweep: currents, plan of the lock, and times.

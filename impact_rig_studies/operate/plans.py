@@ -33,7 +33,7 @@ class Direction(enum.StrEnum):
 
 
 def current_field() -> Any:
-    """Return a new attrs field `current_a` for a plan: the peak current that a sweep or phase lock commands."""
+    """Return a new attrs field `current_a` for a plan: the peak amplitude of the drive [A] (m or V by `drive.kind`)."""
     return quantity(
         0.52,
         "A",

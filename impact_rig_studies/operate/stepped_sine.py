@@ -150,7 +150,7 @@ class SteppedSine:
 
     @property
     def current_a(self) -> float:
-        """Commanded peak current [A] of the present point."""
+        """Commanded peak current of all points [A] (m or V by `drive.kind`), also while no sweep runs."""
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
@@ -326,7 +326,7 @@ class ControlledSine(SteppedSine):
 
     @property
     def current_a(self) -> float:
-        """Commanded peak current [A] of the present attempt at the present point."""
+        """Commanded peak current [A] (m or V by `drive.kind`) of the present attempt at the present point."""
         return self._current_a
 
     @property
@@ -357,7 +357,8 @@ class ControlledSine(SteppedSine):
     def on_measurement(self, row: np.void, now_ns: int) -> Setpoint | None:
         """Process a row of `transmissibility/table` like `SteppedSine.on_measurement`.
 
-        Rows from before the present command was accepted are ignored: they belong to an earlier current.
+        A row is ignored if its rig time `now_ns` is before the rig accepted the present command, because it belongs to
+        an earlier current.
         """
         if self._accepted and now_ns >= self._since_ns:
             return super().on_measurement(row, now_ns)

@@ -73,7 +73,8 @@ def build_report(
     Raises:
         ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
             another rig; or margins or branches are given for a run or an imported campaign.
-        RecordingError: there are no measurements yet, a run cannot be read or analysed, or a file cannot be written.
+        RecordingError: a campaign has no measurement yet, a run cannot be read or analysed, or a file cannot be
+            written.
     """
     folder = directory if directory.is_dir() else directory.parent
     target = (output or folder) / PAGE_FILE
@@ -115,7 +116,7 @@ def build_report(
 
 
 def _continued(name: str, directory: Path, done: Finished) -> Drawn:
-    """Draw the branches in an output directory of `impact-rig dynamics continue`, as `continued`.
+    """Draw the branches in an output directory of `impact-rig dynamics continue` as the figure `name`.
 
     Raises:
         ConfigError: they cannot be shown in the report of this campaign.
@@ -272,7 +273,10 @@ def _files(done: Finished, content: Content, folder: Path) -> Iterator[Markup]:
 
 
 def _paths(done: Finished, folder: Path) -> list[Path]:
-    """Return the paths of a campaign's result files that its page, in the directory `folder`, links to."""
+    """Return the paths of the files that the page of a campaign links to; they are not relative to the page.
+
+    These are the existing files of results and runs, and `report.json` in the directory of the page, `folder`.
+    """
     names = [run.CSV_FILE, "summary.json", kept.FILE_NAME, run.CAMPAIGN_FILE, CONFIGURATION_FILE]
     if done.imported:
         names.remove(CONFIGURATION_FILE)  # it describes the nominal rig, on which nothing was measured

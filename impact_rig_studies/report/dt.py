@@ -143,7 +143,7 @@ def _label_if_first(value: float, _: float) -> str:
 def _draw_case(axes: Sequence[Axes], gap: float, points: Sequence[Point], theory: Sequence[Stretch]) -> None:
     """Draw one gap into the axes for DT linear, DT logarithmic and phase: points with error bars, lines of the theory.
 
-    Without a theory, dotted lines connect the points.
+    Without a theory, dotted lines connect the points of DT, but not those of the phase.
     """
     frequency, shade = [p.frequency_hz for p in points], colour(gap)
     phases = _lag_deg([p.phase_rad for p in points])
@@ -334,7 +334,7 @@ def case(gap_m: float) -> str:
 
 
 def curve_numbers(gap_m: float, points: Sequence[Point]) -> Line:
-    """Return the numbers of a drawn curve for its CSV: DT and phase of the points with a gap over the frequency."""
+    """Return the numbers of a drawn curve for its CSV: DT and phase of all `points`; `gap_m` only names the curve."""
     return Line(
         case(gap_m),
         {
@@ -518,7 +518,7 @@ def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
     """Draw the motion of superior base (laser) and sphere (truth) over `CYCLES` cycles, and the accelerometer's signal.
 
     Args:
-        trace: columns by name: scans, and true motion of the simulated rig, at the end of the measurement of a point.
+        trace: columns by name: scans, and true motion of the simulated rig, just after the measurement of a point.
         gap_m: gap [m].
         frequency_hz: drive frequency.
     """
@@ -544,7 +544,10 @@ def draw_time_trace(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
 
 
 def draw_phase_plane(trace: Trace, gap_m: float, frequency_hz: float) -> Drawn:
-    """Draw velocity over position of the sphere, relative to the superior base; arguments as in `draw_time_trace`."""
+    """Draw velocity over position of the sphere, relative to the superior base, for the whole trace.
+
+    The arguments are those of `draw_time_trace`.
+    """
     place = 1e3 * (np.asarray(trace["x_2"], float) - np.asarray(trace["x_1"], float))
     speed = np.asarray(trace["v_2"], float) - np.asarray(trace["v_1"], float)
     figure, (axis,) = new_axes()

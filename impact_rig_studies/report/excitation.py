@@ -264,7 +264,7 @@ def _shocked(found: Shocked, unit: str) -> ResultSummary:
 def _error(found: Shocked, name: str, factor: float, unit: str) -> str:
     """Return the deviation of a shock from the request as text, such as that of its peak or its response spectrum.
 
-    The text includes the noise floor, which is the error that the sensors' noise alone causes. If the error is not
+    The text includes the noise floor: the error that noise and gain error of the sensor can cause. If the error is not
     above it, the text says "as requested". `name` is the attribute of `found` with the error. Both values are
     multiplied by `factor` and shown in `unit`.
     """

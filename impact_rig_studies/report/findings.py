@@ -146,7 +146,10 @@ def uncertainty(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
-    """Yield the constants of the rig that were chosen to match the paper, and what this means for verdicts, as HTML."""
+    """Yield the constants of the rig that were chosen to match the paper, and what this means for verdicts, as HTML.
+
+    The current is always among them. `content` also stores the table and numbers, for `report.json`.
+    """
     values = to_flat(config)
     rows: list[list[str | Cell]] = [
         [name, value_cell(values[name]), about.unit, about.doc]
@@ -175,10 +178,10 @@ def chosen(config: RigConfig, content: Content) -> Iterator[Markup]:
 
 
 def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
-    """Yield a table that shows how the paper's statements turn out on rigs that differ in one constant, as HTML.
+    """Yield a table that shows how the paper's statements turn out on rigs with varied constants, as HTML.
 
-    Its cells contain the value that decides a statement, and the verdict. `varied` contains the verdicts for these
-    rigs; without any, nothing is yielded.
+    A cell contains the value that decides a statement, and the verdict; it is empty if the statement was not judged.
+    `varied` contains the verdicts for these rigs; without any, nothing is yielded.
     """
     if not varied:
         return

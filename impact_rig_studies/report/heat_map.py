@@ -46,7 +46,7 @@ PREDICTED = "#e5007d"  # colour of the predicted limits
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
-    """Yield the figures of a finished map: one per direction and value of the third axis.
+    """Yield the figures of a finished map: one per direction, or start of the sphere, and value of the third axis.
 
     A map of two axes that was measured upwards and downwards also has a figure of the difference.
     """

@@ -52,7 +52,7 @@ class Section:
         return f"s-{names.identifier(self.title.lower())}"
 
     def __html__(self) -> Markup:
-        """Return the HTML of the section; the template engine calls this to insert it without escaping."""
+        """Return the HTML of the section; `Markup` calls this to insert it without escaping."""
         return self.html
 
 
@@ -75,7 +75,7 @@ def _render(part: str, *values: object) -> Markup:
 
 
 def _lowered(text: str) -> Markup:
-    """Return a text as HTML, in which the index of a symbol such as m_1 is a subscript."""
+    """Return a text as HTML; in symbols of a letter and an index of one character, such as m_1, this is a subscript."""
     return Markup(_SYMBOL.sub(_LOWERED, str(escape(text))))  # noqa: S704  # escaped, and what it gains is ours
 
 
@@ -191,7 +191,7 @@ def folded(summary: str, body: Markup) -> Markup:
 
 
 def links(items: Iterable[tuple[str, str]]) -> Markup:
-    """Return a list of links as HTML from pairs of an address and a text."""
+    """Return a list of links as HTML from pairs of an address and a text; without pairs, a list without entries."""
     return _render("links", list(items))
 
 

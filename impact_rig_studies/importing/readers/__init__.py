@@ -113,8 +113,8 @@ def read(path: Path) -> ImportedSignals:
 
     Raises:
         RecordingError: the suffix is unknown, a library is missing, or the file cannot be read, is damaged, of another
-            format, or has no numbers.
-        BudgetError: the file is larger than `FILE_BYTES`, or claims more content than its size can hold.
+            format, larger than `FILE_BYTES`, or has neither numbers nor columns of texts.
+        BudgetError: a bag is larger than `FILE_BYTES`, or the file claims more content than its size can hold.
     """
     try:
         bag_bytes = _bag_bytes(path) if bag.is_bag(path) else None

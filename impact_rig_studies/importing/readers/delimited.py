@@ -228,8 +228,9 @@ def _headings(lines: Sequence[str], layout: Layout) -> tuple[list[str], dict[str
     """Interpret the `lines` before the first row of numbers as headings.
 
     Returns:
-        A unique name for each column, the known units by name, and the lines that contain neither names nor units. The
-        name of a column without a heading is `column_` and its position from 0. A repeated name gets its position, too.
+        A unique name for each column, the units in a row of units by name, and all lines without names or such units. A
+        unit within a heading stays part of the name. The name of a column without a heading is `column_` and its
+        position from 0. A repeated name gets its position, too.
     """
     width = layout.width
     usable: list[tuple[int, list[str]]] = []

@@ -122,7 +122,7 @@ def _whole(dataset: Any) -> NDArray[Any]:
 
 
 def attribute(holder: Any, name: str) -> Any:
-    """Return an attribute of an HDF5 object as a number or text, or None if it is missing or empty.
+    """Return an attribute of an HDF5 object as a number or text, or None if it is missing or an array of size 0.
 
     Of an array, the first element is returned.
     """

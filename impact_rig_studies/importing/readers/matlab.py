@@ -118,7 +118,10 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 
 
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
-    """Add the datasets of an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively."""
+    """Add numbers and texts in an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively.
+
+    Objects, cell arrays, complex numbers and structs at the depth `DEEPEST` are noted in `tree.left_out`.
+    """
     for name, one in tree.members(group):
         if name.startswith("#"):  # internal data of MATLAB
             continue

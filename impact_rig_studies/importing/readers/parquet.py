@@ -37,7 +37,8 @@ def reserve() -> None:
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read all columns of a Parquet file; their claimed sizes are checked before they are decompressed.
 
-    Columns that cannot become an array of NumPy are left out, with the reason for the user.
+    Columns that cannot become an array of NumPy are left out, with the reason for the user. `library` is
+    `pyarrow.parquet`.
 
     Raises:
         BudgetError: the content is larger than a file of this size may contain, or has too many columns.

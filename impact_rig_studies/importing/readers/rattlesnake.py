@@ -33,7 +33,7 @@ STREAM = re.compile(r"time_data(?:_(\d{1,6}))?")
 
 
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
-    """Read all channels of all streams of a file as signals.
+    """Read all channels of all streams of a Rattlesnake file as signals; `library` is h5py.
 
     The name of a signal is the comment of its channel, or else its node with the direction, or else `channel_` with
     its number from 0. If there are several streams, the name of the stream is put in front, except for the longest one.

@@ -44,8 +44,9 @@ UNIT_KEYS = ("unit_string", "NI_UnitDescription", "NI_ChannelUnit", "Unit", "uni
 def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
     """Read the channels of numbers in all groups of a TDMS file as signals; the result may have none.
 
-    The first channel of times in a group becomes the abscissa. Other channels are left out, with the reason for the
-    user.
+    The first channel of times in a group is not a signal: it lists times for the group's channels (`_abscissa`). If
+    only one group has such a channel, it also serves the other groups. Channels without values or real numbers are left
+    out, with the reason for the user. `library` is nptdms.
 
     Raises:
         BudgetError: the file claims more values than one of its size may contain, or too many channels.
@@ -103,7 +104,7 @@ def _rate_hz(holder: object) -> float | None:
 
 
 def _abscissa(channel: object, listed: Real | None, rate_hz: float | None, count: int) -> tuple[Abscissa, SignalKind]:
-    """Return the abscissa of a channel with `count` values, and its kind.
+    """Return the abscissa of a channel with `count` values, and the kind of its signal, such as time response.
 
     The step that its waveform properties state takes precedence, then the times `listed` in another channel [s], then
     `rate_hz`. But a step of `NO_INCREMENT` may mean that none was set: then listed times take precedence. Without

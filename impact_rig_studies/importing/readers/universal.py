@@ -62,7 +62,7 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
 
     Raises:
         RecordingError: there is no time response; the message names the reasons.
-        BudgetError: the datasets have more values than a file of this size may contain.
+        BudgetError: there are too many datasets, or they have more values than a file of this size may contain.
     """
     with tempfile.TemporaryDirectory(prefix="impact_rig_uff_") as folder:  # pyuff opens files by name only
         named = Path(folder) / "all.uff"
@@ -146,7 +146,10 @@ def _add(
 
 
 def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
-    """Return the abscissa that the header of a dataset with `count` values states."""
+    """Return the abscissa of a dataset with `count` values: evenly spaced times by its header, or its listed times.
+
+    An abscissa of another quantity, or of invalid times, has another kind than `TIME` and contains no values.
+    """
     quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
     unit = _label(one.get("abscissa_axis_units_lab"))
     words = _label(one.get("abscissa_axis_lab")).lower()
