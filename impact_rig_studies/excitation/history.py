@@ -314,8 +314,8 @@ def _identify(
         calibration: calibration of the sensors.
 
     Returns:
-        For each response (H, 1 / H) at the lines of `numpy.fft.rfft`, both 0 below `low_hz` / 2 and above `ABOVE` times
-        `high_hz`. 1 / H fades out from the edges of the band to these limits, and is reduced where noise hides H.
+        For each response (H, 1 / H) at the lines of `numpy.fft.rfft`. Both are 0 below `low_hz` / 2 and above `ABOVE`
+        times `high_hz`. 1 / H fades out from the edges of the band to these limits, and is reduced where noise hides H.
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)

@@ -106,7 +106,7 @@ class MapLine(HashedTask):
         return [_reading(row) for row in rows]
 
     def place(self, value: float) -> tuple[dict[str, Value], float, float, tuple[float, float] | None]:
-        """Return what defines the point of the line at one value of its axis.
+        """Return settings and start of the point of the line at one value of its axis.
 
         Returns:
             Configuration values that axes set, by dotted name, in addition to `changes`. Then frequency [Hz] and
