@@ -207,6 +207,7 @@ class Judge:
         self._reported = False
         self._waited_windows = 0
         self._crowding = calibration.noise_crowding()
+        self._scales = calibration.scales(frequency_hz)
         self._noise_per_scan = np.zeros(len(CHANNELS))  # variance near the drive in the newest window
         self._window_s = window_cycles(frequency_hz, settings) / frequency_hz
         self._broken: Status | None = None
@@ -418,9 +419,9 @@ class Judge:
         `ratio` is not finite, the result is infinite.
         """
         window = self._windows[-1]
-        per_channel = self._noise_per_scan
-        base = abs(complex(window.phasors[:, BASE, 0].mean()))
+        moved = self._noise_per_scan / self._scales**2  # as displacement, like `ratio`
+        base = abs(complex(window.phasors[:, BASE, 0].mean())) / float(self._scales[BASE])
         scans = float(window.samples.sum()) * self._settings.windows
         if base == 0.0 or not np.isfinite(ratio):
             return math.inf
-        return math.sqrt(2.0 * float(per_channel[LASER] + ratio**2 * per_channel[BASE]) / scans) / base
+        return math.sqrt(2.0 * float(moved[LASER] + ratio**2 * moved[BASE]) / scans) / base

@@ -79,6 +79,22 @@ def test_the_wait_for_a_transient_is_no_longer_than_needed(frequency_hz, tau_s):
     assert row["waited"] < tau_s * np.log(1 / 2e-4) + 2.1 * 48 / frequency_hz
 
 
+def test_the_wait_for_a_transient_is_the_same_if_the_laser_measures_velocity():
+    """The noise of the certificate, of the same size as displacement, allows the same remnant of the transient."""
+    omega, quiet = 2.0 * np.pi * 9.3, {"noise": 0.0, "transient": transient_ratio(9.3, 1.0)}
+    rows, info = record(9.3, 15.0, **quiet), info_rows(RATE)
+    expected = feed_all(tracker(9.3, info=info), blocks(rows, RATE, 200))[0][0].rows[0]
+    rows["laser"] = omega * record(9.3, 15.0, phase=0.3 + np.pi / 2.0, **quiet)["laser"]
+    laser = info["name"] == b"laser"
+    info["unit"][laser] = b"m/s"
+    for column in ("noise", "range_low", "range_high"):
+        info[column][laser] *= omega
+    found = feed_all(tracker(9.3, info=info), blocks(rows, RATE, 200))[0][0].rows[0]
+    assert found["status"] == expected["status"] == b"ok"
+    assert found["waited"] == expected["waited"]
+    assert found["transmissibility"] == pytest.approx(expected["transmissibility"], rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("frequency_hz", "tau_s"),
     [(9.3, 0.34), *(pytest.param(*one, marks=pytest.mark.slow) for one in [(9.1, 0.34), (9.3, 1.0)])],
