@@ -80,7 +80,7 @@ def read(path: Path) -> dict[str, Any]:
             the object are not checked.
     """
     try:
-        return dict(json.loads(files.read_bytes(path, MAX_BYTES)))
+        return {**json.loads(files.read_bytes(path, MAX_BYTES))}
     except OSError as error:
         raise ConfigError(f"cannot read the interface document: {files.reason_unreadable(error, path)}") from error
     except (ValueError, TypeError, RecursionError) as error:
@@ -183,7 +183,7 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "least": _reaches(-1.0),
     "most": _reaches(1.0),
     **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
-    "choices": lambda was, now, _: now is not None and not set(was or ()) <= set(now),
+    "choices": lambda was, now, _: now is not None and (was is None or not set(was) <= set(now)),
 }
 """Functions that return whether a change of a property breaks clients, by name of the property.
 

@@ -25,6 +25,7 @@ import pytest
 
 from impact_rig.cli import main
 from impact_rig.cli.interface import DOCUMENT, differences, read
+from impact_rig.errors import ConfigError
 
 Document = dict[str, Any]
 PRESENT = read(DOCUMENT)
@@ -72,6 +73,7 @@ BREAKS = [
     (parameter("barriers.gap_m", most=0.006), "parameter barriers.gap_m of rig: most was"),
     (parameter("barriers.gap_m", start_only=True), "parameter barriers.gap_m of rig: start_only was"),
     (parameter("contact.release", choices=["force"]), "parameter contact.release of rig: choices was"),
+    (parameter("daq.seed", choices=[1, 2]), "parameter daq.seed of rig: choices was not stated, is [1, 2]"),
     (parameter("daq.seed", type="double"), "parameter daq.seed of rig: type was"),
 ]  # fmt: skip
 NEW = [
@@ -117,6 +119,13 @@ def test_the_command_prints_the_document_and_compares_it(tmp_path: Path, capsys:
     }  # fmt: skip
     assert main(["interface"]) == 0
     assert "transmissibility/table" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["[]", '[["topics", 1]]', "7"])
+def test_a_document_is_a_json_object(text: str, tmp_path: Path):
+    (tmp_path / "other.json").write_text(text)
+    with pytest.raises(ConfigError, match="not a document written by"):
+        read(tmp_path / "other.json")
 
 
 @pytest.mark.parametrize(
