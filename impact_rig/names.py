@@ -44,6 +44,7 @@ RIG_OPTION = "--rig"  # option that selects one of several rigs of a recording
 FIGURE_FORMATS = ("png", "svg", "pdf")  # suffixes of files with figures
 # maximum number of characters of a text in a drawing, and of one at an axis or in a legend
 LONGEST_TITLE, LONGEST_LABEL = 200, 50
+TOO_LARGE = "a number too large to represent"
 LARGEST_INTEGER = 10**30  # above every number in a configuration; Python refuses to print some larger ones
 DIGEST = 8  # hexadecimal digits that distinguish names with the same file name
 
@@ -82,11 +83,14 @@ def quoted(value: object) -> str:
     """Return a value as text for an error message: in Python's notation, cut off after 200 characters.
 
     A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`. An integer of magnitude 10^30 or more
-    gives `a number too large to represent`.
+    gives `a number too large to represent`; so does a value that contains one which Python does not print.
     """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
-        return "a number too large to represent"
-    shown = repr(_plain(value))
+        return TOO_LARGE
+    try:
+        shown = repr(_plain(value))
+    except ValueError:  # an integer of more digits than Python prints
+        return TOO_LARGE
     return shown if len(shown) <= LONGEST_QUOTE else f"{shown[:LONGEST_QUOTE]}..."
 
 

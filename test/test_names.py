@@ -86,7 +86,8 @@ def test_a_cell_never_becomes_a_formula(text, cell):
     ("value", "shown"),
     [
         (np.float64(0.5), "0.5"), ((np.float64(1.5), np.int32(2)), "(1.5, 2)"), ("a" * 300, f"'{'a' * 199}..."),
-        (10**31, "a number too large to represent"), (np.float64("nan"), "nan"), (b"x", "b'x'"),
+        (10**31, "a number too large to represent"), ([16**5000], "a number too large to represent"),
+        (np.float64("nan"), "nan"), (b"x", "b'x'"),
     ],
 )  # fmt: skip
 def test_a_quoted_value_is_short_and_reads_as_python_writes_it(value, shown):
