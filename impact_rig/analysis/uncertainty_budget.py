@@ -95,11 +95,11 @@ class Budget:
     parts: Sequence[Contribution]  # the lines; their squares add up to at least (u/DT)²
 
     def share(self, part: Contribution) -> float:
-        """Return the fraction of the variance of the mean DT that one line contributes; 0 if the variance is 0.
+        """Return the fraction that one line contributes to the sum of the variances of all lines; 0 if that is 0.
 
-        The fractions of all lines add up to 1, or to more if the other terms exceed the total (module docstring).
+        The fractions of all lines add up to 1.
         """
-        whole = (self.u_transmissibility / self.transmissibility) ** 2
+        whole = sum(part.u_relative**2 for part in self.parts)
         return part.u_relative**2 / whole if whole else 0.0
 
 

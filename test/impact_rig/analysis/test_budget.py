@@ -101,6 +101,14 @@ def test_the_parts_add_up_to_the_stated_uncertainty(calibration, lag_u):
     assert found.transmissibility == rows["transmissibility"][0]
 
 
+def test_shares_add_up_to_1_if_the_lines_exceed_the_stated_uncertainty(calibration):
+    """This happens if the last calibration of a run is less certain than that of its rows."""
+    rows = rows_of(calibration)
+    rows["transmissibility_uncertainty"] /= 3.0
+    found = budget(rows, calibration)
+    assert sum(map(found.share, found.parts)) == pytest.approx(1.0, rel=1e-9)
+
+
 def test_each_line_of_the_budget_is_the_contribution_that_it_names(calibration):
     found = budget(rows_of(calibration, LAG_U), calibration, LAG_U)
     lines = {(part.source, part.what): part for part in found.parts}
