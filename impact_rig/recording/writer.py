@@ -251,10 +251,10 @@ class RunWriter:
 
         None means the publish time of each, or that of an earlier message if that is later.
         """
-        for one in self._early:
+        waiting, self._early, self._early_bytes = self._early, [], 0  # a write may end the run, which calls this again
+        for one in waiting:
             now_ns = self._clock_ns.go_on(one.publish_time_ns if time_ns is None else time_ns)
             self._write(one.channel, one.data, now_ns, one.publish_time_ns, one.sequence, counted=True)
-        self._early, self._early_bytes = [], 0
 
     def write_at(self, topic_name: str, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int = 0) -> None:
         """Record one message at a given log time [ns], without counting it in the account of losses.
@@ -362,8 +362,8 @@ class RunWriter:
         A second call, or one after an error, has no effect.
 
         Raises:
-            RecordingError: the last chunk, the index or `metadata.yaml` cannot be written; the messages on disk are
-                intact.
+            RecordingError: the last chunk, the index or `metadata.yaml` cannot be written, or the disk has too little
+                room for all messages that wait for the first scan; the messages on disk are intact.
         """
         if not self._closed:
             self._begin_without_scans()

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from kits.recording import CONFIG, SCAN_TOPIC, fill, scan_block
+from kits.recording import CONFIG, NOTES_TOPIC, SCAN_TOPIC, START_NS, fill, scan_block, string
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 
@@ -289,6 +289,19 @@ def test_recording_stops_while_the_disk_still_has_room(record, monkeypatch):
     with pytest.raises(RecordingError, match=r"run2.mcap cannot be recorded: only"):
         record("run2")
     assert list((writer.directory.parent / "run2").iterdir()) == []
+
+
+def test_messages_that_wait_for_the_first_scan_are_written_once_if_the_disk_fills(record, monkeypatch):
+    """The end of the run writes them; if the disk fills meanwhile, the run ends a second time within that."""
+    writer = record(chunk_bytes=20_000)
+    writer.add_topic(NOTES_TOPIC)
+    monkeypatch.setattr(recording_writer.McapFile, "shortage", lambda self: "the disk is full")
+    for number in range(4):
+        writer.write(NOTES_TOPIC.name, string("x" * 15_000), START_NS, number + 1)
+    with pytest.raises(RecordingError, match="was ended and can be read up to there: the disk is full"):
+        writer.finish()
+    with open_run(writer.directory) as run:
+        assert [message.sequence for message in run.messages()] == [1, 2]
 
 
 def test_a_file_that_cannot_even_begin_is_removed_and_nothing_is_said_of_its_content(record, monkeypatch):
