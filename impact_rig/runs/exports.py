@@ -209,7 +209,7 @@ def _datasets(columns: Columns) -> list[dict[str, object]]:
     found: list[dict[str, object]] = []
     numbers = {name: np.asarray(column, float) for name, column in columns.items() if column.dtype.kind in "fiu"}
     x = numbers.pop(TIME, None)
-    if x is not None and np.ptp(x) > 0.0:
+    if x is not None and len(x) > 0 and np.ptp(x) > 0.0:
         order = np.argsort(x, kind="stable")
         found += [
             _dataset(name, _TIME_RESPONSE, x[own], column[own], "s")
