@@ -75,7 +75,7 @@ class RunInfo:
     end_ns: int
     topics: tuple[TopicInfo, ...]  # in order of registration
     rate_hz: float | None  # scans per second of `daq/scan`, of the first rig if there are two; None without scans
-    last_block_s: float  # duration of the newest block of scans [s], the longest of all rigs; 0 if unknown
+    last_block_s: float  # duration of a rig's last recorded block [s], the longest of all rigs; 0 if unknown
     rig_s: float | None  # rig time of scans and the gaps between them [s], longest of all rigs; None without scans
     scans: Contiguity | None  # numbers of blocks and scans, and gaps; None without scans, or if a rate is unknown
     provenance: Mapping[str, str]  # version, seed, wall_start_ns, and more; empty for files of other recorders
@@ -368,21 +368,20 @@ class _RigScans:
     def span_s(self) -> float:
         """Rig time from the first scan to the end of the last [s], with the gaps between them.
 
-        If stamps go back to before the first one, because the rig was restarted, the durations before and after that
-        are added.
+        If stamps go back, because the rig was restarted, the durations before and after that are added.
         """
-        total_ns = begin_ns = end_ns = 0
+        total_ns = begin_ns = end_ns = before_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):
-            if number == 0 or stamp_ns < begin_ns:
+            if number == 0 or stamp_ns < before_ns:
                 total_ns, begin_ns, end_ns = total_ns + end_ns - begin_ns, stamp_ns, stamp_ns
             scans_ns = round(length * NS_PER_S / self.rate_hz) if self.rate_hz else 0
-            end_ns = max(end_ns, stamp_ns + scans_ns)
+            end_ns, before_ns = max(end_ns, stamp_ns + scans_ns), stamp_ns
         return (total_ns + end_ns - begin_ns) / NS_PER_S
 
     @property
     def last_block_s(self) -> float:
-        """Duration of the block with the latest stamp [s]; 0 if unknown."""
-        return max(self.blocks)[1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
+        """Duration of the last recorded block [s]; 0 if unknown."""
+        return self.blocks[-1][1] / self.rate_hz if self.rate_hz and self.blocks else 0.0
 
 
 class _Tally:

@@ -93,6 +93,17 @@ def test_a_reset_is_distinguished_from_lost_blocks(record):
     assert "the stamps go back 1 times" in found.verdict
 
 
+@pytest.mark.parametrize("recorded_late", [0, 3])
+def test_the_durations_before_and_after_a_restart_are_added(record, recorded_late):
+    """The stamps of a rig that does not run in real time begin at 0 after each start."""
+    with record() as writer:
+        fill(writer, 10, first=recorded_late)
+        fill(writer, 4, topics=(SCAN_TOPIC,))
+        writer.write(SCAN_TOPIC.name, scan_block(4, scans=50), 0)
+    found = info(writer.directory)
+    assert (found.rig_s, found.last_block_s) == pytest.approx((0.145, 0.005))
+
+
 def test_a_run_without_scans_is_reported(record):
     with record() as writer:
         writer.add_topic(NOTES_TOPIC)
