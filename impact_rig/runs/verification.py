@@ -165,6 +165,10 @@ def verify(run: Run) -> Verification:
         if shorter.identical:
             rest = f"the last {ahead} blocks: inputs that act on them may not have reached the recorder before its end"
             found, not_checked = shorter, (rest, *not_checked)
+        elif blocks == 0 and not changes:
+            found = Verification(
+                None, 0, "its recorder ended so early that inputs that act on all of its scans may not have reached it"
+            )
     return attrs.evolve(found, not_checked=not_checked)
 
 
@@ -172,13 +176,13 @@ def _complete_blocks(run: Run) -> tuple[int, int]:
     """Return the numbers of complete and of incomplete blocks of a recording whose recorder was killed.
 
     A block is complete if no message of another topic can be missing for its time. The last blocks are incomplete,
-    because messages of other topics may arrive later than scans, by up to `reanalysis.lag_s`. The first block always
-    counts as complete.
+    because messages of other topics may arrive later than scans, by up to `reanalysis.lag_s`. In a short recording, all
+    blocks are incomplete.
     """
     stamps_ns = np.array([table.stamp_ns for table in run.tables(topics.SCAN, recorded_order=True)])
     lag_ns = NS_PER_S * lag_s(run, float(np.median(np.diff(stamps_ns))) / NS_PER_S) if len(stamps_ns) > 1 else 0
     before_end = stamps_ns[-1:] - stamps_ns
-    complete = int(np.flatnonzero((before_end < 0) | (before_end > lag_ns))[-1:].sum() + 1)
+    complete = int((np.flatnonzero((before_end < 0) | (before_end > lag_ns)) + 1).max(initial=0))
     return complete, len(stamps_ns) - complete
 
 

@@ -204,6 +204,23 @@ def test_data_that_a_killed_recorder_had_not_received_are_no_difference(tmp_path
     assert not verdict(tmp_path, lacking[: int(np.searchsorted(blocks, 200)) + 1]).identical, "a finished recording"
 
 
+@pytest.mark.parametrize("late", [0, 20])
+def test_a_recorder_killed_within_a_second_is_not_called_identical_or_different(tmp_path: Path, late: int) -> None:
+    """Inputs that act on all of its blocks may be missing, so that even the first one proves nothing."""
+    rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
+    found = everything(rig, 50, {late: lambda: rig.accept(frequency_hz=9.3)})
+    lacking = [
+        (name, one) for name, one in found if name != "rig/journal" or one.sequence == 0 or one.stamp_ns < late * TICK
+    ]
+    assert verdict(tmp_path, lacking).identical is False, "a finished recording"
+    path = record(tmp_path / "killed", lacking)
+    (file,) = path.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-20])  # as if the recorder had not finished
+    recover(path, tmp_path / "recovered")
+    with open_run(tmp_path / "recovered") as run:
+        assert str(verify(run)).startswith("not verifiable: its recorder ended so early that inputs")
+
+
 def reset_rig() -> tuple[Messages, Messages, Messages]:
     """Rig that is reset twice, each time with another seed, and measures before, between and after the resets."""
     rig = Rig(from_flat(RigConfig(), {"daq.seed": 5, "drive.amplitude": 0.52}))
