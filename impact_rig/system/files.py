@@ -516,7 +516,8 @@ def reason_unreadable(error: OSError, path: Path) -> str:
     """
     text = f"{error.strerror} ({path})"
     if isinstance(error, FileNotFoundError) and not path.is_absolute():
-        installed = share_dir() / path
-        if installed.is_file():
-            text += f"; the package has {installed}"
+        with contextlib.suppress(ImpactRigError):  # without these files, the first part is all that there is to say
+            installed = share_dir() / path
+            if installed.is_file():
+                text += f"; the package has {installed}"
     return text

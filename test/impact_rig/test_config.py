@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import attrs
@@ -27,6 +28,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.physics.contact import LAWS
 from impact_rig.rig import config
 from impact_rig.rig.config import RigConfig, from_flat
+from impact_rig.system import files
 
 FIELDS = {name: (about, default) for name, about, default in config.fields()}
 NUMBERS = [name for name, (_, default) in FIELDS.items() if type(default) is float]
@@ -219,6 +221,12 @@ def test_the_error_of_a_missing_file_names_the_installed_one(tmp_path, monkeypat
     with pytest.raises(ConfigError, match=r"\(config/nominal\.yaml\); the package has (.+)") as refused:
         config.load_config("config/nominal.yaml")
     assert config.load_config(str(refused.value).partition("the package has ")[2]) == config.RigConfig()
+
+
+def test_a_missing_file_is_named_even_if_the_package_has_lost_its_configurations(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "share_dir", functools.partial(files.share_dir, tmp_path / "impact_rig"))
+    with pytest.raises(ConfigError, match=r"No such file or directory \(mine\.yaml\)$"):
+        config.load_config("mine.yaml")
 
 
 @pytest.mark.parametrize(
