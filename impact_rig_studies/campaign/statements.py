@@ -273,12 +273,14 @@ def variations(points: Sequence[Point]) -> list[Variation]:
     """Judge the statements for every rig among a campaign's points; the reference rig, if judged, is first.
 
     Rigs for which no statement can be judged are left out; if fewer than two are left, the list is empty. Only points
-    that began with a reset of the rig, and have a current at which the reference rig was measured, are used.
+    that began with a reset of the rig, and have a current at which the reference rig was measured, are used. A rig that
+    is not the reference rig, but whose study has no axis that names the difference, is left out as well.
     """
     currents = {point.current_a for point in points if point.reference}
     rigs: dict[tuple[tuple[str, Value], ...], list[Point]] = {}
     for point in points:
-        if point.direction == RESET and point.current_a in currents:
+        is_named = point.reference or point.axes
+        if is_named and point.direction == RESET and point.current_a in currents:
             changed = () if point.reference else tuple(sorted(point.axes.items()))
             rigs.setdefault(changed, []).append(attrs.evolve(point, reference=True))
     found = [Variation(dict(rig), judge(Curves.of(rigs[rig]))) for rig in sorted(rigs, key=len)]

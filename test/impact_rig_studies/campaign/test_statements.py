@@ -147,6 +147,16 @@ def test_a_statement_that_other_constants_violate_counts_as_a_fit():
     assert {verdict.word for verdict in peaks} == {"pass"}, "f_n alone decides it"
 
 
+def test_points_of_another_rig_without_axes_do_not_count_as_those_of_the_reference_rig():
+    """The first study varies the reference rig's mass; the rig of a study without axes is then another one."""
+    changed = {"structure.mass_kg": 0.30}
+    heavy = [attrs.evolve(one, reference=True) for one in without_sphere(changed)]
+    usual = [attrs.evolve(one, reference=False) for one in without_sphere({})]
+    damped = list(without_sphere({"shaker.damping_n_s_m": 10.0}))
+    assert [len(one.changed) for one in variations([*heavy, *usual, *damped])] == [0, 1]
+    assert variations([*heavy[:-1], *usual, *damped]) == [], "a missing point is not taken from the usual rig"
+
+
 def test_a_change_of_the_current_alone_is_not_a_variation_of_the_rig(points):
     louder = [attrs.evolve(one, reference=False, current_a=0.6) for one in points.values()]
     assert variations([*points.values(), *louder]) == []
