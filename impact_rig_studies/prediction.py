@@ -412,7 +412,7 @@ class LinearRig:
         flight[:, -2:, -2:] = np.eye(2)
         flight[:, -2, -1] = half_s
         # before and after the impact at the right wall
-        e, mu, b = manifold.restitution, self.sphere_kg / c.m_1, 0.5 * answer.gap_m
+        e, mu, b = manifold.restitution, manifold.mass_ratio, 0.5 * answer.gap_m
         speed, approach = 2.0 * omega * b * theta / math.pi, manifold.approach_speed(theta) * omega * b
         # speed of the superior base; that of the sphere is ± `speed`
         before, after = speed - approach, -speed + e * approach

@@ -235,7 +235,7 @@ def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
 
     Raises:
         ConfigError: the last time is not after the first, or a time is off the even grid from the first to the last by
-            more than half a period plus the resolution of the times (`step_of`).
+            more than half a period and more than the resolution of the times (`step_of`).
     """
     period_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     if not period_s > 0.0:
@@ -244,7 +244,7 @@ def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
             "remove them from the file and state its samples per second with --file-rate HZ"
         )
     off_s = np.abs(time_s - time_s[0] - period_s * np.arange(len(time_s)))
-    if not np.all(off_s <= 0.5 * period_s + step_of(time_s)):
+    if not np.all(off_s <= max(0.5 * period_s, step_of(time_s))):
         worst = int(np.argmax(np.where(np.isfinite(off_s), off_s, np.inf)))
         raise ConfigError(
             f"{path}: the times are not evenly spaced: the one of value {worst + 1} is {off_s[worst]:.4g} s off the "

@@ -137,22 +137,21 @@ def _half_range(calibration: Calibration, channel: int) -> float:
 
 
 def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
-    """Return the points of a frequency curve without the sphere as `SineData`, from the first measurement of each.
+    """Return the points of a frequency curve without the sphere as `SineData`, each the mean of its measurements.
 
-    All `points` are used, so they must be settled. The uncertainties of the amplitudes are those of noise alone,
-    without the calibration errors `gains`.
+    Only the phase is that of the first measurement. All `points` are used, so they must be settled. The uncertainties
+    of the amplitudes are those of noise alone, without the calibration errors `gains`.
     """
-    rows = np.concatenate([point.rows[:1] for point in points])
-    u = np.array([_noise(point, gains) for point in points])
+    first = np.concatenate([point.rows[:1] for point in points])
     return SineData(
-        frequency_hz=rows["frequency"].copy(),
-        dt=rows["transmissibility"].copy(),
-        phase_rad=rows["phase"].copy(),
-        base_per_a=rows["base_amplitude"] / rows["current_amplitude"],
-        laser_m=rows["laser_amplitude"].copy(),
-        base_m=rows["base_amplitude"].copy(),
-        u_amplitude=u,
-        u_phase=np.maximum(rows["phase_uncertainty"], LEAST_NOISE),
+        frequency_hz=first["frequency"].copy(),
+        dt=np.array([point.dt for point in points]),
+        phase_rad=first["phase"].copy(),
+        base_per_a=np.array([point.base_m / np.mean(point.rows["current_amplitude"]) for point in points]),
+        laser_m=np.array([point.laser_m for point in points]),
+        base_m=np.array([point.base_m for point in points]),
+        u_amplitude=np.array([_noise(point, gains) for point in points]),
+        u_phase=np.maximum(first["phase_uncertainty"], LEAST_NOISE),
     )
 
 

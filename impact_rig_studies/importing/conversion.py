@@ -393,7 +393,8 @@ def _commands(
     that signal the single frequency of the mapping is used.
 
     Raises:
-        ConfigError: the table lacks a column, one of its times is not finite, or a column has a wrong unit.
+        ConfigError: the table lacks a column, its columns differ in length, one of its times is not finite, or a column
+            has a wrong unit.
     """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
@@ -401,6 +402,11 @@ def _commands(
         if frequency is None or times is None:
             raise ConfigError(
                 f"{drive.path} must have a column `frequency` [Hz], and a column of times, `time` or `stamp_ns`"
+            )
+        if current is not None and len(current.values) != len(times):
+            raise ConfigError(
+                f"{drive.path}: `frequency` and `current` must have the same number of values, got {len(times)} and "
+                f"{len(current.values)}"
             )
         hertz, amplitude = _in_unit(drive.path, "frequency", frequency, "Hz"), np.full(len(times), mapping.amplitude)
         if current is not None:

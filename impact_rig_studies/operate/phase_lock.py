@@ -82,12 +82,8 @@ class Sample(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Return whether the three amplitudes are finite, and those of inferior base and current are not zero.
-
-        If they are not, DT or a phase cannot be computed.
-        """
-        sizes = abs(self.base), abs(self.superior), abs(self.current)
-        return all(map(math.isfinite, sizes)) and sizes[0] > 0.0 and sizes[2] > 0.0
+        """Return whether the three amplitudes are finite and > 0; otherwise DT or a phase cannot be computed."""
+        return all(math.isfinite(size) and size > 0.0 for size in map(abs, (self.base, self.superior, self.current)))
 
 
 class PhasorMeter:
@@ -242,9 +238,8 @@ class PhaseLock:
             return self._setpoint()
         if not sample.sound:
             return self.abort(
-                "no phase can be measured: the amplitudes of inferior base and current must be finite and > 0, that of "
-                f"the superior base finite, got {abs(sample.base):g} m, {abs(sample.current):g} A and "
-                f"{abs(sample.superior):g} m"
+                "no phase can be measured: the amplitudes of inferior base, current and superior base must be finite "
+                f"and > 0, got {abs(sample.base):g} m, {abs(sample.current):g} A and {abs(sample.superior):g} m"
             )
         if abs(sample.superior) > self._plan.superior_limit_m:
             return self.abort(
@@ -438,9 +433,10 @@ class LockedSine:
     def figures(self) -> dict[str, float]:
         """Return the progress for the diagnostics of a node: samples, frequency, phase [°] and whether it is locked.
 
-        The phase is that of the newest sample, and NaN before the first one.
+        The phase is that of the newest sample, and NaN before the first one with a phase.
         """
-        phase = math.degrees(float(self._lock.rows_from(-1)["phase"][0])) if self.measured else math.nan
+        newest = self._lock.rows_from(-1)["phase"]
+        phase = math.degrees(float(newest[0])) if len(newest) else math.nan
         locked = float(self._lock.locked)
         return {"samples": self.measured, "frequency_hz": self._lock.frequency_hz, "phase_deg": phase, "locked": locked}
 

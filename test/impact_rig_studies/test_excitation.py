@@ -323,6 +323,10 @@ def test_times_with_a_gap_are_not_played_as_even_ones(tmp_path):
     even = [f"{k / 1000:.2f},{k % 7}" for k in range(400)]  # rounded to ten periods
     (tmp_path / "even.csv").write_text("\n".join(["time [s],drive [A]", *even]))
     assert len(history(tmp_path / "even.csv", 1_000, "A", "drive")) == pytest.approx(400, abs=20)
+    lacking = [f"{k / 1000},{k % 7}" for k in range(400) if not 100 <= k < 102]
+    (tmp_path / "lacking.csv").write_text("\n".join(["time [s],drive [A]", *lacking]))
+    with pytest.raises(ConfigError, match="not evenly spaced: the one of value 101 is"):
+        history(tmp_path / "lacking.csv", 1_000, "A", "drive")
     rows = [f"{t},{k}" for k, t in enumerate((0.0, 0.1, 0.2, 0.3, 5.0, 5.1))]
     (tmp_path / "gap.csv").write_text("\n".join(["time [s],drive [A]", *rows]))
     with pytest.raises(

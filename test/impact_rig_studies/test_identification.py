@@ -24,7 +24,9 @@ import numpy as np
 import pytest
 from kits.recorded_rig import record
 
+from impact_rig.analysis.scans import BASE, LASER
 from impact_rig.analysis.uncertainty_budget import plus_minus
+from impact_rig.blocks import TRANSMISSIBILITY
 from impact_rig.cli import main
 from impact_rig.physics.linear_response import base_per_ampere, transmissibility
 from impact_rig.recording import open_run
@@ -36,7 +38,7 @@ from impact_rig_studies.campaign import paper, run
 from impact_rig_studies.campaign.job import execute
 from impact_rig_studies.campaign.paper import FREQUENCIES_HZ
 from impact_rig_studies.campaign.plan import load_campaign
-from impact_rig_studies.campaign.results import Curves
+from impact_rig_studies.campaign.results import Curves, Point
 from impact_rig_studies.decay import Decay
 from impact_rig_studies.identification import fit, paper_fit
 from impact_rig_studies.identification.fit import NAMES, SCALED, identify, information, logarithms, rig
@@ -64,6 +66,32 @@ NOISE = 3e-4
 LIMIT = 3.0
 """Standard uncertainties by which a constant may be off: by chance once in 370."""
 GAPS = (0.004, 0.010)
+
+
+def test_the_scatter_of_points_measured_several_times_is_the_stated_one():
+    rng, noise, count = np.random.default_rng(8), 2e-3, 9
+    gains = Gains.of(Rig(RigConfig()).info().rows)
+    points = []
+    for _ in range(300):
+        rows = np.zeros(count, TRANSMISSIBILITY)
+        rows["frequency"], rows["base_amplitude"], rows["current_amplitude"] = 9.1, 1e-4, 0.5
+        rows["transmissibility"] = 10.0 * (1.0 + noise * rng.standard_normal(count))
+        rows["laser_amplitude"] = rows["transmissibility"] * 1e-4
+        sensors = sum(
+            gains.calibration.gain_uncertainty_at(channel, size) ** 2 for channel, size in ((LASER, 1e-3), (BASE, 1e-4))
+        )
+        rows["transmissibility_uncertainty"] = 10.0 * np.sqrt(sensors + noise**2)
+        points.append(point_of(rows))
+    found = sine_of(points, gains)
+    for values, truth in ((found.dt, 10.0), (found.laser_m, 1e-3)):
+        assert np.sqrt(np.mean(((values / truth - 1.0) / found.u_amplitude) ** 2)) == pytest.approx(1.0, abs=0.15)
+
+
+def point_of(rows):
+    return Point(
+        study="sine", axes={}, reference=True, gap_m=0.0, current_a=0.5, frequency_hz=9.1, direction="reset", rows=rows,
+        failure="", key="",
+    )  # fmt: skip
 
 
 def test_sensor_nonlinearity_is_evaluated_at_the_readings():

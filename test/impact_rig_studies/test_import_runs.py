@@ -328,6 +328,20 @@ def test_doubtful_units_are_shown_before_anything_is_written(
     assert not (tmp_path / "run").exists()
 
 
+def test_a_table_of_commands_with_columns_of_different_lengths_is_rejected() -> None:
+    found = source({"base": "mm", "laser": "mm"})
+    times = Abscissa(AbscissaKind.TIME, "s", values=np.array([0.0, 5.0, 10.0]))
+    columns = {
+        "frequency": Signal(np.array([9.0, 9.1, 9.2]), "Hz", times),
+        "current": Signal(np.array([0.5, 0.5]), "A"),
+    }
+    drive = ImportedSignals(Path("drive.npz"), "NumPy", columns)
+    with pytest.raises(
+        ImpactRigError, match="`frequency` and `current` must have the same number of values, got 3 and 2"
+    ):
+        convert(found, guess(found), drive)
+
+
 def test_two_accelerometers_are_imported_with_two_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nptdms = pytest.importorskip("nptdms")
     times = np.arange(1500) / 125

@@ -115,6 +115,18 @@ def test_the_multipliers_of_the_model_agree_with_the_prediction(number):
     assert found["predicted_dt"] == pytest.approx(found["dt"], rel=0.01)
 
 
+def test_without_recoil_the_structure_keeps_its_own_multipliers(nominal):
+    """An impact then leaves the structure alone, so two eigenvalues of its free motion over half a cycle remain."""
+    rig = prediction.LinearRig.of(nominal, recoil=False)
+    held = prediction.HeldDrive(None, 100e-6, None)
+    theta, hz = np.array([1.3]), np.array([9.1])
+    found = rig._multipliers(theta, hz, rig._answer(theta, hz, held), held)[0]
+    c = rig.linear
+    roots = np.roots([c.m_1, c.c_1, c.k_1])
+    for one in -np.exp(roots * 0.5 / hz[0]):
+        assert np.abs(found - one).min() < 1e-9
+
+
 @pytest.mark.parametrize("held", ["current_a", "base_m", "superior_m"])
 def test_the_prediction_at_a_gap_is_the_motion_of_the_branch(nominal, held):
     value = {"current_a": CURRENT_A, "base_m": 100e-6, "superior_m": 5e-3}[held]

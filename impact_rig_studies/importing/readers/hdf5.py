@@ -122,7 +122,7 @@ def _whole(dataset: Any) -> NDArray[Any]:
 
 
 def attribute(holder: Any, name: str) -> Any:
-    """Return an attribute of an HDF5 object as a number or text, or None if it is missing or an array of size 0.
+    """Return an attribute of an HDF5 object as a number or text, or None if it is missing or has no value.
 
     Of an array, the first element is returned.
     """
@@ -131,4 +131,6 @@ def attribute(holder: Any, name: str) -> Any:
     value = holder.attrs[name]
     if isinstance(value, np.ndarray):
         value = value.reshape(-1)[0] if value.size else None
+    if getattr(value, "shape", ()) is None:  # an attribute without a value, `h5py.Empty`
+        return None
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value

@@ -22,13 +22,17 @@ import attrs
 import numpy as np
 import pytest
 
+from impact_rig.analysis.scans import SCAN
+from impact_rig.blocks import Table
 from impact_rig.driver import LocalRig
 from impact_rig.errors import ConfigError
 from impact_rig.physics.linear_response import transmissibility
+from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig.simtime import NS_PER_S
 from impact_rig_studies.operate.phase_lock import (
     AmplitudeSweep,
+    LockedSine,
     LockLoop,
     PhaseLock,
     Sample,
@@ -147,6 +151,26 @@ def test_a_base_at_rest_is_not_used_as_a_reference():
     bench = Resonance()
     bench.still = True
     assert "no phase can be measured" in run_phase_lock(PLAN, bench).reason
+
+
+def test_a_superior_base_at_rest_has_no_phase_that_could_be_tracked():
+    bench = Resonance()
+    lock = PhaseLock(PLAN)
+    bench.set(lock.start(0))
+    follow(lock, bench, lambda one: one.locked)
+    setpoint = lock.on_sample(bench.sample(PLAN.sample_s)._replace(superior=0j))
+    assert "no phase can be measured: " in lock.reason
+    assert setpoint.current_a == 0.0
+
+
+def test_a_lock_whose_first_sample_has_no_phase_still_has_figures():
+    rig = Rig(RigConfig())
+    lock = LockedSine(PLAN, rig.info().rows, 2.0)
+    lock.start(0)
+    lock.on_applied(PLAN.start_hz, PLAN.current_a, 0)
+    lock.on_scans(Table(0, np.zeros(20 * rig.config.daq.rate_hz, SCAN)))
+    assert lock.state is SweepState.ABORTED
+    assert math.isnan(lock.figures()["phase_deg"])
 
 
 def test_a_lost_lock_ends_after_a_timeout():
