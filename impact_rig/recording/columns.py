@@ -113,12 +113,15 @@ def to_xarray(run: Run, topic: str) -> Any:
 
 def first_scan_ns(run: Run, topic: str) -> int | None:
     """Return the stamp of the first recorded scan of the rig to which a topic belongs [ns]; None if there is none."""
-    name = run.resolve(topic)
-    prefix = max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
-    scans = prefix + topics.SCAN.name
+    scans = _prefix(run, run.resolve(topic)) + topics.SCAN.name
     if scans not in run.topics:
         return None
     return next((table.stamp_ns for table in run.tables(scans)), None)
+
+
+def _prefix(run: Run, name: str) -> str:
+    """Return the topic prefix, such as `/rig/`, of the rig to which a topic belongs by its full name; empty if none."""
+    return max((one for one in run.prefixes if name.startswith(one)), key=len, default="")
 
 
 def is_earlier(run: Run, message: Message) -> bool:
@@ -177,14 +180,16 @@ def _joined(tables: list[Table], earlier: list[bool], origin_ns: int) -> Columns
 def _described(run: Run, topic: str) -> dict[str, dict[str, str]]:
     """Return unit (`units`) and description (`long_name`) of the columns of a topic, by column name, as far as known.
 
-    They come from `impact_rig.topics`. The channels of `daq/scan` have the units in the recorded `daq/info` instead,
-    and no description.
+    They come from `impact_rig.topics`. The channels of `daq/scan` have the units in the recorded `daq/info` of the same
+    rig instead, and no description.
     """
-    relative = run.relative(run.resolve(topic))
-    known = next((one for one in topics.COMMON if one.name == relative), None)
+    name = run.resolve(topic)
+    prefix = _prefix(run, name)
+    known = next((one for one in topics.COMMON if prefix + one.name == name), None)
     found = {one.name: {"units": one.unit, "long_name": one.doc} for one in (known.fields if known else ())}
-    if known is topics.SCAN and run.holds(topics.INFO):
-        for table in run.tables(topics.INFO):
-            for row in table.rows:
+    info = prefix + topics.INFO.name
+    if known is topics.SCAN and info in run.topics:
+        for message in run.messages([info]):
+            for row in run.table(message, topics.INFO).rows:
                 found[row["name"].decode("utf-8", "replace")] = {"units": row["unit"].decode("utf-8", "replace")}
     return found

@@ -19,8 +19,11 @@ from pathlib import Path
 
 import pytest
 from kits.recording import POINT_CLOUD, float64, scan_block, string, topic
+from kits.records import info_rows
 from mcap.writer import Writer
 
+from impact_rig import codec
+from impact_rig.blocks import Table
 from impact_rig.errors import RecordingError
 from impact_rig.recording import open_run
 from impact_rig.recording.rigs import prefixes
@@ -98,3 +101,19 @@ def test_the_user_must_choose_one_of_several_rigs(tmp_path):
             assert run.relative("/left/daq/scan") is None
     with pytest.raises(RecordingError, match=r"no rig '/middle' in .*two.mcap; there are: /left, /right"):
         open_run(path, "/middle")
+
+
+def test_an_absolute_name_selects_the_rig_of_a_dataset(tmp_path):
+    pytest.importorskip("xarray")
+    messages = []
+    for side, unit in (("left", b"m"), ("right", b"m/s")):
+        info = info_rows()
+        info["unit"][info["name"] == b"laser"] = unit
+        messages.append((f"/{side}/daq/scan", POINT_CLOUD, scan_block(0)))
+        messages.append((f"/{side}/daq/info", POINT_CLOUD, codec.encode(Table(0, info))))
+    path = bag(tmp_path / "two.mcap", *messages)
+    for rig in (None, "left"):
+        with open_run(path, rig) as run:
+            assert [run.to_xarray(f"/{side}/daq/scan").laser.units for side in ("left", "right")] == ["m", "m/s"]
+            assert run.to_xarray("/right/daq/info")["lag"].units == "s"
+            assert len(run.to_dataframe("/right/daq/scan")) == 100
