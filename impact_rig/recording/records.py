@@ -142,8 +142,8 @@ def split(view: memoryview, offset: int) -> tuple[int, memoryview, int]:
 def decompress(chunk: mcap_records.Chunk, *, need_crc: bool = False) -> memoryview:
     """Return the decompressed records of a chunk, checked against the size and checksum that the chunk states.
 
-    Decompression never needs more memory than the stated size. A chunk without a checksum (0) is accepted, unless
-    `need_crc` is True.
+    Decompression never needs more memory than the stated size and one byte. A chunk without a checksum (0) is accepted,
+    unless `need_crc` is True.
 
     Raises:
         DamageError: size or checksum differ, the compression is unknown, or the data cannot be decompressed.
@@ -270,9 +270,11 @@ def _unlz4(data: Bytes, size: int) -> Bytes:
     # the incremental decompressor never produces more than requested, whatever size the frame claims
     decompressor = lz4.frame.LZ4FrameDecompressor()
     try:
-        content: bytes = decompressor.decompress(data, max_length=size)
+        content: bytes = decompressor.decompress(data, max_length=size + 1)  # one more shows a surplus
     except (RuntimeError, ValueError, EOFError) as error:
         raise DamageError(f"a chunk cannot be decompressed: {error}") from error
+    if len(content) > size or not decompressor.eof:
+        raise DamageError(f"a chunk cannot be decompressed: its lz4 frame does not end after {size} bytes")
     return content
 
 

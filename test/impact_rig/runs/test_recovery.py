@@ -27,6 +27,7 @@ from collections import Counter
 from pathlib import Path
 
 import attrs
+import lz4.frame
 import numpy as np
 import pytest
 import yaml
@@ -35,6 +36,7 @@ from kits.recording import CONFIG, PROVENANCE, HandClock, fill, foreign_file, sc
 
 pytest.importorskip("rosbags", reason="an independent reader, only on PyPI")
 
+from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
@@ -274,6 +276,19 @@ def test_records_truncated_anywhere_count_as_damage(tmp_path):
         ):
             with contextlib.nullcontext() if cut in edges else pytest.raises(records.DamageError):
                 read(view)
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+@pytest.mark.parametrize(("size", "cut"), [(900, 0), (999, 0), (1001, 0), (1000, 4)])
+def test_a_chunk_of_another_size_than_stated_is_damage_without_a_checksum_too(compression, size, cut):
+    compress = {"lz4": lz4.frame.compress, "zstd": zstandard.ZstdCompressor(write_content_size=False).compress}
+    data = compress[compression](b"x" * 1000)
+    zeros = dict.fromkeys(("message_start_time", "message_end_time", "uncompressed_crc"), 0)
+    chunk = Chunk(compression=compression, data=data, uncompressed_size=1000, **zeros)
+    assert bytes(records.decompress(chunk)) == b"x" * 1000
+    chunk.uncompressed_size, chunk.data = size, data[: len(data) - cut]
+    with pytest.raises(records.DamageError):
+        records.decompress(chunk)
 
 
 @pytest.mark.parametrize("following", [0, 50])
