@@ -310,7 +310,7 @@ def _read(package: str, kind: str, prefixes: Sequence[Path], wanted_by: str) -> 
     for prefix in prefixes:
         path = prefix / "share" / package / "msg" / f"{kind}.msg"
         try:
-            return path.read_text(encoding="utf-8")
+            return path.read_text(encoding="utf-8", errors="replace")  # a comment may be in another encoding
         except OSError:
             continue
     if (text := _bundled().get(f"{package}/{kind}")) is not None:

@@ -298,6 +298,14 @@ def test_schemas_without_ros_equal_those_of_an_installation(type_name, monkeypat
     assert schema_text(type_name) == installed
 
 
+def test_a_comment_of_another_encoding_in_an_installed_definition_is_no_obstacle(tmp_path, monkeypatch):
+    folder = tmp_path / "share" / "own_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Force.msg").write_bytes("float64 force  # Prüfstand\n".encode("latin-1"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert schema_text("own_msgs/msg/Force") == "float64 force  # Pr\ufffdfstand\n"
+
+
 @pytest.mark.parametrize("name", ["sensor_msgs/msg/Nothing", "nowhere_msgs/msg/Thing"])
 def test_the_error_of_an_absent_interface_names_the_searched_folders(name):
     with pytest.raises(RecordingError, match=rf"no definition of {name}: .*\.msg is not in .*share"):
