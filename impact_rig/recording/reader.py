@@ -667,6 +667,8 @@ def _listed_files(directory: Path) -> list[str]:
         budget.allow(f"bytes in {path}", size, budget.METADATA_BYTES)
         content: Any = budget.load_yaml(str(files.read_bytes(path, size), "utf-8"), size)
         listed = content[description.METADATA_KEY]["relative_file_paths"]
+        if not isinstance(listed, list):
+            raise TypeError(listed)  # noqa: TRY301  # one message for all of them
         return [str(name) for name in listed]
     except FileNotFoundError:
         return []

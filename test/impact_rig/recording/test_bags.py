@@ -406,6 +406,14 @@ def test_older_metadata_with_the_folder_in_paths_is_read(native, tmp_path):
         open_run(bag)
 
 
+@pytest.mark.parametrize("listed", ["run.mcap", {"run.mcap": 1}, None])
+def test_files_that_are_not_listed_as_a_list_are_rejected(tmp_path, listed):
+    content = {"rosbag2_bagfile_information": {"relative_file_paths": listed}}
+    (tmp_path / "metadata.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(RecordingError, match=r"it has no list rosbag2_bagfile_information: relative_file_paths; "):
+        open_run(tmp_path)
+
+
 @pytest.mark.parametrize("what", ["index", "statistics"])
 def test_a_topic_that_is_in_no_index_is_reported_as_missing(native, tmp_path, what):
     """The messages are in the chunks, but no reader that uses the index can find them."""
