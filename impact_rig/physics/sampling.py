@@ -188,8 +188,11 @@ def places(names: tuple[str, ...]) -> NDArray[np.int64]:
     """Return the index of each of the named quantities in QUANTITIES, shape (number of names,).
 
     Raises:
-        ValueError: a name is not in QUANTITIES.
+        ValueError: a name is not in QUANTITIES, or there are more names than quantities, for which no workspace has
+            room.
     """
+    if len(names) > len(QUANTITIES):
+        raise ValueError(f"at most {len(QUANTITIES)} quantities can be evaluated at once, got {len(names)}")
     return np.array([QUANTITIES.index(name) for name in names], np.int64)
 
 

@@ -175,6 +175,17 @@ def test_instants_outside_the_motion_are_rejected():
         motion.quantity("x_1", np.array([5, 6]), np.array([0.0]))
 
 
+def test_more_names_than_quantities_are_rejected():
+    """A motion has scratch memory for each quantity once: more rows would be written outside it."""
+    motion, tick, zero = Simulation(rig()).advance(sine(9.1, 1.0, TICK_S, 5)), np.array([1]), np.array([0.0])
+    assert motion.quantities(("x_1",) * 12, tick, zero).shape == (12, 1)
+    wrong = pytest.raises(ValueError, match="at most 12 quantities can be evaluated at once, got 13")
+    with wrong:
+        motion.quantities(("x_1",) * 13, tick, zero)
+    with wrong:
+        motion.polynomials(("x_1",) * 13, tick, zero, zero + TICK_S)
+
+
 def test_motions_of_one_simulation_are_independent():
     """They share their scratch memory, so alternate queries must return the same as separate ones."""
     simulation = Simulation(CONFIGS["current"])
