@@ -54,7 +54,7 @@ def run_record(arguments: argparse.Namespace) -> int:
     Raises:
         KeyboardInterrupt: the run was interrupted; what it measured so far was printed.
         ImpactRigError: the options are invalid, nothing was recorded, or the rig is gone or cannot continue; no DT was
-            printed.
+            printed. If something was recorded, its directory was printed to stderr.
     """
     namespace = running_namespace(arguments)
     config, gap_m = _config(arguments)
@@ -72,6 +72,10 @@ def run_record(arguments: argparse.Namespace) -> int:
                 early = str(error)
             except KeyboardInterrupt as error:
                 early, interrupted = "interrupted", error
+            except ImpactRigError:
+                if directory.is_dir() and any(directory.iterdir()):
+                    shown.console.print(f"incomplete recording: {directory}", style="red", soft_wrap=True)
+                raise
             ending.enter_context(defer_signals())
             shown.end = early or "done"
         if not directory.exists():

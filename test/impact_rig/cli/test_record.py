@@ -27,6 +27,8 @@ from kits.browser import PATIENCE_S
 
 from impact_rig.analysis.uncertainty_budget import plus_minus
 from impact_rig.cli.main import main
+from impact_rig.driver import LocalRig
+from impact_rig.errors import SimulationError
 from impact_rig.recording import open_run
 from impact_rig.runs import info, reanalysis
 from impact_rig.runs.verification import verify
@@ -87,6 +89,25 @@ def test_a_rig_at_rest_has_no_dt_however_long_it_runs(tmp_path: Path, capsys: py
 def test_a_trip_ends_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["record", "--current", "12", *RATE, "--output", str(tmp_path / "run")]) == 1
     assert "ended early: the rig tripped: over_travel" in " ".join(capsys.readouterr().out.split())
+    check(tmp_path / "run")
+
+
+def test_a_run_whose_rig_cannot_continue_is_named_with_the_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail_after_a_second(rig: LocalRig, *_: object, **__: object) -> None:
+        if rig.time_s > 1.0:
+            raise SimulationError("no progress in a drive segment")
+        step(rig)
+
+    step = LocalRig.step
+    monkeypatch.setattr(LocalRig, "step", fail_after_a_second)
+    assert main(["record", *RATE, "--output", str(tmp_path / "run")]) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    *_, where, why = printed.err.splitlines()
+    assert where == f"incomplete recording: {tmp_path / 'run'}"
+    assert why == "impact-rig record: no progress in a drive segment"
     check(tmp_path / "run")
 
 
