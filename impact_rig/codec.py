@@ -525,7 +525,7 @@ def _columns(cursor: _Cursor) -> dict[str, tuple[str, int]]:
     """Read the member `fields` of a PointCloud2, and return its columns: name -> (numpy format, offset in a row)."""
     count = cursor.u4("number of fields")
     if not 1 <= count <= MAX_COLUMNS:
-        raise CodecError(f"number of fields must be 1 to {MAX_COLUMNS}, got {count}")
+        raise CodecError(f"a message to decode must have 1 to {MAX_COLUMNS} fields, got {count}")
     columns: dict[str, tuple[str, int]] = {}
     for _ in range(count):
         name = cursor.text("name of a field")

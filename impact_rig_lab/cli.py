@@ -90,7 +90,7 @@ def add_command(commands: Commands) -> None:
         "--host",
         default="127.0.0.1",
         help="address on which the page is served; unless it is a loopback address, other machines can open the page "
-        "(default: %(default)s)",
+        "by the printed URL, which contains a secret token (default: %(default)s)",
     )
     add_recorded_rig(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")

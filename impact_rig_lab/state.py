@@ -106,7 +106,7 @@ class Seen:
         return not self.ended and self.age_s is not None and self.age_s <= DEAD_S
 
     def part(self) -> dict[str, Any]:
-        """Return state, reason, instance and age of the node, `lives` and `gone`, for the page, as values for JSON."""
+        """Return state, reason, instance and age [s] of the node, `lives` and the text `gone`, as JSON for the page."""
         return {
             "state": self.state,
             "reason": self.reason,
@@ -118,7 +118,7 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Reason why a node counts as absent now: its process has ended, or it has stopped reporting; else empty."""
+        """Reason why a node is gone: its process ended, or its reports stopped; empty if present or never reported."""
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -216,7 +216,8 @@ class Pace:
     def read(self, rig_s: float, instance: str = "", *, stands: bool = False) -> float:
         """Add a reading of the rig time, and return its present speed (rig seconds per real second).
 
-        The speed is 0 for the first reading, and if the rig time has not changed for 3 s of real time.
+        The speed is 0 for the first reading, and if the rig time has not changed for 3 s of real time. It stays as it
+        was if the rig time has gone back, or changes for the first time after 10 s or more.
 
         Args:
             rig_s: rig time [s].
@@ -427,7 +428,8 @@ class Source(abc.ABC):
         The prediction is requested only while a page is open, the drive (`applied`) is known and `values` is not empty.
 
         If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
-        The parts `refused` and `other_motion` are also updated.
+        The part `refused` gets all failures, by name. The part `other_motion` gets the result of `contradiction` for
+        the newest measurement.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.

@@ -102,7 +102,8 @@ class ComparedPoint:
         """Return measured minus model of the column `transmissibility` or `phase`, divided by its uncertainty.
 
         The divisor is the standard uncertainty of the difference, from the uncertainties of both rows and from the gain
-        of the drive's sensor; without `more`, that gain adds nothing. The result is NaN if the model did not settle.
+        of the drive's sensor. The effect of that gain is `more` − `model` (0 if `more`, the model's row for a larger
+        drive, is None). The result is NaN if the model did not settle.
         """
         if self.model is None:
             return math.nan

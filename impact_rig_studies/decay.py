@@ -425,7 +425,8 @@ def restitution_of_drops(h0_m: Real, h1_m: Real, u_h0_m: float, u_h1_m: float) -
     """
     if h0_m.shape != h1_m.shape or h0_m.ndim != 1 or not len(h0_m):
         raise ValueError(
-            f"h0_m and h1_m must be one-dimensional, not empty and of equal length, got {h0_m.shape} and {h1_m.shape}"
+            "heights of drops h0_m and of rebounds h1_m must be one-dimensional, not empty and of equal length, got "
+            f"{h0_m.shape} and {h1_m.shape}"
         )
     if not (np.all(np.isfinite(h0_m)) and np.all(np.isfinite(h1_m)) and math.isfinite(u_h0_m + u_h1_m)):
         return DropTest(status=Status.NOT_FINITE)

@@ -472,8 +472,8 @@ def branch(
         recoil: whether the structure recoils in an impact, to first order in m/m_1; False means the published formulas.
 
     Raises:
-        ConfigError: the prediction does not apply to the configuration; or not exactly one constant quantity is given,
-            or it is not finite and > 0.
+        ConfigError: the rig has no sphere, its guide has friction, or the realised restitution is not > 0 and < 1. Or
+            not exactly one constant quantity is given, or it is not finite and > 0.
     """
     rig = LinearRig.of(config, recoil=recoil)
     return rig.motions(rig.thetas(), frequency_hz, HeldDrive(current_a, base_m, superior_m))
@@ -491,8 +491,9 @@ def at(
 ) -> Branch:
     """Return all motions with two symmetric impacts per cycle at one frequency and gap.
 
-    The largest amplitude of the sphere is first. The branch has the length 0 if there are no such motions. Those that
-    `branch` leaves out are left out here too. The arguments other than the gap are those of `branch`.
+    The largest amplitude of the sphere is first. The branch has the length 0 if there are no such motions. As in
+    `branch`, those with Θ above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The arguments other
+    than the gap are those of `branch`.
 
     Raises:
         ConfigError: as for `branch`.
@@ -540,7 +541,7 @@ def backbone(config: MechanicsSetup, gap_m: float, *, recoil: bool = True) -> Br
     m/m_1; False means the published formulas.
 
     Raises:
-        ConfigError: the prediction does not apply to the configuration.
+        ConfigError: the rig has no sphere, its guide has friction, or the realised restitution is not > 0 and < 1.
     """
     rig = LinearRig.of(config, recoil=recoil)
     c, theta = rig.linear, rig.thetas()

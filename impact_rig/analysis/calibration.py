@@ -155,8 +155,8 @@ class Calibration:
         counts = np.array([names.count(channel) for channel in CHANNELS])
         if counts.max() != 1:
             raise ConfigError(
-                f"daq/info must list one or more of the channels {', '.join(CHANNELS)}, each once, got "
-                f"{', '.join(names) or 'no rows'}; {_REMEDY}"
+                f"daq/info must list one or more of the channels {', '.join(CHANNELS)}, each once, and may list "
+                f"others, got {', '.join(names) or 'no rows'}; {_REMEDY}"
             )
         present = counts == 1
         measured = [names.index(channel) for channel in CHANNELS if channel in names]

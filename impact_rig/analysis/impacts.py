@@ -207,6 +207,7 @@ def _detect(
     """Filter the samples from index `begin` on, and write the impacts that are found in them to `out`.
 
     It stops early when `out` is full. The result is (number of impacts found, index of the next sample to process).
+    A sample that is not finite ends the search for a peak, and the filter starts again after it.
 
     `state` = [filter memory 1, filter memory 2, variance, threshold of the ringing, peak, sign, swing].
     `place` = [scan, samples left while the filter settles, samples left of the search for the peak (`hunting`),

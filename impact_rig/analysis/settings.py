@@ -113,7 +113,10 @@ class TrackerSettings:
 
     def __attrs_post_init__(self) -> None:
         if self.windows > self.long_windows:
-            raise ConfigError(f"windows must be <= long_windows = {self.long_windows}, got {self.windows}")
+            raise ConfigError(
+                f"windows must be <= long_windows = {self.long_windows}, the number averaged if the response is "
+                f"not periodic, got {self.windows}"
+            )
 
 
 @attrs.frozen(kw_only=True)

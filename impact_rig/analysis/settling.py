@@ -174,7 +174,7 @@ class Progress:
     """Progress towards the first row after the last change, as numbers of windows.
 
     The last change is that of drive, gap label or calibration, a loss of scans, or a reset of the rig. After the first
-    row, the progress is complete, or it is that towards a row that is overdue.
+    row, the progress is complete. Once the next row takes longer than the newest did, it is the progress towards that.
     """
 
     windows: int  # number since the last change; at most `needed`

@@ -375,7 +375,7 @@ class Tracker:
         )
 
     def _take_unsettled(self) -> None:
-        """Add a row of the cycles that are kept (`Judge.unsettled`), or a row with only the reason."""
+        """Add a `not_settled` row of the cycles that are kept (`Judge.unsettled`), or a row with only the reason."""
         accumulator = self._accumulator
         if accumulator is None:
             self._emit_status(Status.NO_FREQUENCY, self._buffer.end - 1)

@@ -64,7 +64,7 @@ def _text(number: float, spec: str) -> str:
 
 
 def plus_minus(value: float, u: float) -> str:
-    """Return `value ± 2u`, formatted as by `rounded`, such as "63.57 ± 0.32"; `u` is the standard uncertainty."""
+    """Return `value ± 2u` as `rounded` formats it, e.g. "63.57 ± 0.32", NaN as "-"; `u` is the standard uncertainty."""
     return " ± ".join(rounded(value, u))
 
 

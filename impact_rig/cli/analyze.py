@@ -145,7 +145,7 @@ def _print_measurements(console: Console, rows: NDArray[np.void], *, everything:
 def run_frf(console: Console, run: Run, arguments: argparse.Namespace) -> int:
     """Run `impact-rig analyze --frf`: print the frequency response x_1/x_b of a run, and with `--figures` draw it.
 
-    Return exit code 0.
+    If the drive is a sine, the response is that one line. Return exit code 0.
     """
     from impact_rig.analysis.drawings import frequency_response  # noqa: PLC0415  # heavy: after the run is open
     from impact_rig.runs.excerpts import response_of  # noqa: PLC0415  # as above

@@ -147,7 +147,9 @@ def add_analyze(commands: Commands) -> None:
     )
     add_json(parser)
     parser.add_argument(
-        "--all", action="store_true", help="also print measurements without a value of DT, with their status"
+        "--all",
+        action="store_true",
+        help="also print measurements without a value of DT, with their status; --json always contains them",
     )
     add_run(parser)
     instead = parser.add_argument_group("analyses instead of the usual one").add_mutually_exclusive_group()
@@ -239,7 +241,8 @@ def add_replay(commands: Commands) -> None:
         type=_rate,
         default=1.0,
         metavar="X",
-        help="speed as a multiple of real time, from 0.001 to 1000, or max: as fast as the peers follow (default: 1)",
+        help="speed as a multiple of real time, from 0.001 to 1000; or max, only with --peers: as fast as these follow "
+        "(default: 1)",
     )
     parser.add_argument(
         "--peers",

@@ -125,7 +125,8 @@ def run_recover(arguments: argparse.Namespace) -> int:
     Return exit code 3 (`INCOMPLETE`) if something of the run is known to be damaged or missing, else 0.
 
     Raises:
-        RecordingError: no message can be recovered, or a file cannot be read or written.
+        RecordingError: no message can be recovered, the new directory has a recording already, or a file cannot be read
+            or written.
     """
     report = recover(arguments.path, arguments.out, accept_unchecked=arguments.accept_unchecked)
     if arguments.json:

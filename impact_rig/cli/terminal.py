@@ -71,7 +71,7 @@ class Console(rich_console.Console):
         super().print(*objects, **{**whole, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as rich draws it: without markup, and with control characters and line feeds escaped.
+        """Return a text as rich draws it with `options`, but without markup, and with control characters escaped.
 
         A text longer than `LONGEST_TEXT` loses its middle. Rich calls this method.
         """

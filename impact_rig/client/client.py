@@ -445,7 +445,7 @@ class Client:
             what: what the rig was asked to do, for the message.
             rig: node name of the rig, relative to the namespace.
             may_be_silent: whether the rig may be busy without a report until the wait ends, as when it compiles a new
-                contact law.
+                contact law. The check then raises only if another rig has reported.
 
         Raises:
             GoneError: the rig was silent for over a second before this call, and is gone or has been replaced.

@@ -252,7 +252,10 @@ class RigDriver(abc.ABC):
         return ""
 
     def poll(self) -> None:  # noqa: B027  # a rig that moves only in `step` has nothing to process
-        """Process the messages that have arrived from a `RosRig`, without waiting; no effect on a `LocalRig`."""
+        """Process the messages that have arrived from a `RosRig`, without waiting; no effect on a `LocalRig`.
+
+        It does not check whether the rig and its nodes still run.
+        """
 
     def connect(self, listener: Callable[[Table], object]) -> None:
         """Call a function with every block of scans from now on, in order, until `disconnect` or `close`.

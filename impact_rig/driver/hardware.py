@@ -232,8 +232,9 @@ class AnalogOutput:
         if lost and self._raises:
             self._playing = False
             raise UnderrunError(
-                f"underrun: {lost} samples were not written in time, the rig is at sample {level.sample}; "
-                "write earlier or with a larger buffer (buffer_s, drive.stream_buffer_s), and call `start` again",
+                f"underrun: {lost} samples were not written in time, the rig is at sample {level.sample}, counted "
+                "from scan 0; write earlier or with a larger buffer (buffer_s, drive.stream_buffer_s), and call "
+                "`start` again",
                 lost,
             )
         return lost

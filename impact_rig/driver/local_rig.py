@@ -104,7 +104,7 @@ class LocalRig(RigDriver):
 
         >>> rig.clear()
         >>> first_scan = rig.command(frequency_hz=8.5)
-        >>> seconds = rig.wait_until(lambda: b"ok" in rig.rows("transmissibility/table")["status"], "DT at 8.5 Hz")
+        >>> at_s = rig.wait_until(lambda: b"ok" in rig.rows("transmissibility/table")["status"], "DT at 8.5 Hz")
         >>> row = rig.rows("transmissibility/table")[-1]
         >>> print(f"DT {row['transmissibility']:.2f} at {row['frequency']:g} Hz")
         DT 8.25 at 8.5 Hz
@@ -249,8 +249,9 @@ class LocalRig(RigDriver):
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:
         """Send samples of the stream that drives the rig (`drive.waveform: stream`).
 
-        Samples that come too late are dropped, and counted as `late` in `stream_level`. A recording contains all
-        samples of each accepted call, late ones included.
+        Samples that come too late are dropped, and counted as `late` in `stream_level`; others replace earlier ones of
+        the same number. At a gap, `step` raises a TimeoutError, or without `drive.stream_wait` the rig does what
+        `drive.on_underrun` says. A recording contains all samples of each accepted call, late ones included.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.

@@ -323,7 +323,7 @@ class RosRig(RigDriver):
             The messages on `output` as they arrive (`messages`, `tables()`, `last()`); None without `output`.
 
         Raises:
-            TimeoutError: the node did not subscribe, or has no publisher on `output`, in time.
+            TimeoutError: the node did not subscribe, or has no publisher on `output`, in time; its process goes on.
             GoneError: its process ended; the message quotes the end of its log.
             ImpactRigError: a process of this name is running.
             OSError: the program is missing or cannot be started.
@@ -522,7 +522,7 @@ class RosRig(RigDriver):
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
 
     def poll(self) -> None:
-        """Process the messages that have arrived, without waiting."""
+        """Process the messages that have arrived, without waiting or checking whether the nodes still run."""
         self.client.spin_pending()
 
     def feed(self, first: int, samples: NDArray[np.float64]) -> None:

@@ -105,7 +105,8 @@ class Fault:
                 raise CommandError(f"{key} of the fault {self.kind} must be at most 2**53, got {number:.17g}")
         if self.kind == "clock_drift" and abs(self.value) > LARGEST_DRIFT_PPM:
             raise CommandError(
-                f"value of the fault clock_drift must be within ± {LARGEST_DRIFT_PPM:g} ppm, got {self.value!r}"
+                f"value of the fault clock_drift, by which the clock is slow, must be within ± {LARGEST_DRIFT_PPM:g} "
+                f"ppm, got {self.value!r}"
             )
 
     def line(self, scan_rate_hz: int) -> str:

@@ -118,7 +118,7 @@ _COMMON = frozenset(column.name for column in SCAN_TOPIC.fields)
 
 
 class InstrumentSetup(Protocol):
-    """Interface of a configuration from which instruments are made: five of the sections of a `RigConfig`."""
+    """Interface of a configuration from which instruments are made: daq, instruments, drive, shaker, structure."""
 
     @property
     def daq(self) -> Daq:

@@ -321,7 +321,9 @@ def _translate_all(work: Path) -> None:
             print(f"building kernels: {words}", flush=True)  # noqa: T201
     failed = [part for part, process in running.items() if process.returncode]
     if failed:
-        raise SystemExit(f"the kernels could not be translated ({', '.join(failed)}); see the messages above")
+        raise SystemExit(
+            f"parts of the kernels could not be translated to LLVM code ({', '.join(failed)}); see the messages above"
+        )
 
 
 def _read(path: Path) -> str:

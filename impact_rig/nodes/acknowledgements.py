@@ -218,7 +218,7 @@ class AckWindow:
             self._readers[name].heard_ns = self._clock()
 
     def forget(self, name: str) -> None:
-        """Drop the acknowledgements of a reader that no longer subscribes.
+        """Drop the acknowledgements of a reader, one of `readers`, that no longer subscribes.
 
         If the reader is a peer, a node of this name remains a peer: the rig waits for a new node to acknowledge the
         blocks that the former node has not acknowledged, unless that one was waived (see `waive`).
@@ -289,8 +289,8 @@ class Readers:
     def knows(self, name: str) -> bool:
         """Return whether a node of this name (without namespace) subscribes to the publisher's topic.
 
-        Before False is returned, the graph is queried again, unless the last query is less than 0.5 s old and the
-        number of matches is the same.
+        True is the result of the last query of the graph, however old. Before False is returned, the graph is queried
+        again, unless the last query is less than 0.5 s old and the number of matches is the same.
         """
         if name not in self._present and (self._due(GRAPH_POLL_S) or self.subscribers != self._matched):
             self._poll()

@@ -128,7 +128,7 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
         if self._tracker is None:
             return
         if fixed:
-            raise ConfigError(f"cannot change {', '.join(fixed)} while the node is active; deactivate it first")
+            raise ConfigError(f"cannot change {', '.join(fixed)} while the analysis is active; deactivate it first")
         if "gap_m" in changes:
             self._label(_gap(settings), self.rig_time_ns() or 0)
 

@@ -113,8 +113,9 @@ class Parameters(Generic[S]):
     def check(self, wanted: list[Parameter]) -> Proposal[S]:
         """Validate a change of these parameters, and return it as a `Proposal`; nothing is changed.
 
-        A read-only or text parameter that would keep its value is ignored, as `ros2 param load` sends all values of a
-        dump. Values of rclpy's own parameters (`FOREIGN`) are not validated, except `use_sim_time`.
+        A read-only or text parameter that would keep its value is ignored: `ros2 param load` sends all values of a
+        dump, and a text such as `1` as a number. Values of rclpy's own parameters (`FOREIGN`) are not validated, except
+        `use_sim_time`.
 
         Raises:
             ConfigError: a name is unknown, a read-only parameter would change, a value is invalid, or values contradict

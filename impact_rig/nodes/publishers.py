@@ -308,7 +308,7 @@ class Publishers:
     def forget(self) -> None:
         """Make the next `configuration` publish the calibration even if it is the same, because a new rig starts.
 
-        The next `poll` checks at once.
+        The next `poll` checks the subscribers at once.
         """
         self._info = b""
         self._polled_at = -GRAPH_POLL_S

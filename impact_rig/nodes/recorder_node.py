@@ -241,7 +241,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
         if not self.active:
-            raise RecordingError(f"the recorder is {self.why_not_active()}")
+            raise RecordingError(f"cannot start a recording: the recorder is {self.why_not_active()}")
         if self._writer is not None:
             raise RecordingError(f"already recording {self._writer.directory}: call ~/stop first")
         if self._waiting:
@@ -376,9 +376,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             writer.finish()
 
     def _leave_run(self) -> RunWriter | None:
-        """End the subscriptions of the current run, except to scans; return its writer, which the caller must close.
+        """End the subscriptions of the current run; return its writer, which the caller must close.
 
-        It returns None if no run is open.
+        It returns None if no run is open. The subscription to scans stays, to acknowledge those between runs.
         """
         self._awaited = set()
         for subscription in self._recorded:

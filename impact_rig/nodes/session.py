@@ -63,8 +63,8 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
     """Return whether ROS discovery is certainly limited to this machine, so that no rig on another machine interferes.
 
     Args:
-        environment: environment variables. `ROS_AUTOMATIC_DISCOVERY_RANGE` must be `LOCALHOST` or `OFF`;
-            `ROS_STATIC_PEERS` and `ROS_DISCOVERY_SERVER` must be empty or not set.
+        environment: environment variables. `ROS_AUTOMATIC_DISCOVERY_RANGE` must be `LOCALHOST` or `OFF` (case is
+            ignored); `ROS_STATIC_PEERS` and `ROS_DISCOVERY_SERVER` must be empty or not set.
         middleware: name of the ROS middleware, which must be in `OBEDIENT`.
     """
     near = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")

@@ -274,7 +274,8 @@ def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
 def take_next_step(model: Model, f: DriveSegment, s: Record, step: Record, t_end: float) -> int:
     """Prepare and solve the next step of the contact in the state s; return what ends it, as `take_step` does.
 
-    `t_end` is the end of the drive segment, since its start [s]. The state stays in place until `conclude` moves it.
+    `t_end` is the end of the drive segment, since its start [s]. All of s but `h` and `next_h` stays in place until
+    `conclude` moves it.
     """
     p = model.parameters[0]
     expand(p, f, s, step)

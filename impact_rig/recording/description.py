@@ -140,8 +140,8 @@ class TopicDescription:
 def _profiles(text: str) -> tuple[QosYaml, ...]:
     """Return the QoS profiles in an untrusted YAML list, with the policies of `OfferedQos` only.
 
-    Only the type of their values is checked. Items that are no mappings are left out. The result is empty if the text
-    is not such a list.
+    Only the type of their values is checked. Policies with a value of a wrong type, and items that are no mappings, are
+    left out. The result is empty if the text is not a YAML list.
     """
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)
@@ -202,6 +202,8 @@ def interface_prefixes() -> tuple[Path, ...]:
 
 def schema_text(type_name: str) -> str:
     """Return the schema of `type_name` (`package/msg/Type`, or `package/Type`), followed by those of the types it uses.
+
+    The texts are those that `definitions` returns.
 
     Raises:
         RecordingError: the type or one that it uses is missing, the name is not that of a message type, or the
@@ -292,7 +294,9 @@ def members(schema: str) -> list[tuple[str, str, int]]:
                 why = "it is an array of messages" if count != 1 else "" if inner else "this type is not defined"
                 if inner is None or why or depth > _MAX_DEPTH or len(found) > _MAX_TYPES:
                     why = why or f"it is more than {_MAX_DEPTH} types deep, or follows more than {_MAX_TYPES} members"
-                    raise RecordingError(f"the member {path + member} of type {name}{length} cannot be read: {why}")
+                    raise RecordingError(
+                        f"the message member {path + member} of type {name}{length} cannot be read: {why}"
+                    )
                 walk(inner, f"{path}{member}.", depth + 1)
 
     walk(root, "", 0)

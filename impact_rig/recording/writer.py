@@ -249,7 +249,8 @@ class RunWriter:
     def _write_early(self, time_ns: int | None) -> None:
         """Write the messages that wait for the first scan, with the log time `time_ns`.
 
-        None means the publish time of each, or that of an earlier message if that is later.
+        None, if none of them has a stamp, means the publish time of each, or that of an earlier message if that is
+        later.
         """
         waiting, self._early, self._early_bytes = self._early, [], 0  # a write may end the run, which calls this again
         for one in waiting:
@@ -321,7 +322,7 @@ class RunWriter:
         After the end of the run, also after an error, the call has no effect.
 
         Raises:
-            RecordingError: the run has to stop now.
+            RecordingError: the chunk could not be written, or disk space runs short; the run has been closed.
         """
         if not self._closed:
             with _StoppingOnError(self):

@@ -52,7 +52,7 @@ class RigConfig:
         daq: data acquisition: scans per second, scans per block, seed of the noise.
         instruments: sensors, converter and planned faults.
         time: rig time relative to wall time: real time, free-running or lockstep.
-        step: number of blocks per request of a rig in lockstep.
+        step: number of blocks per requested step, in lockstep or while paused.
         pluck: displacement of a pluck test.
         output: monitor rate, frame names and optional topics; command timeout, start of the node.
 
@@ -126,7 +126,8 @@ def load_config(path: Path | str, overrides: Mapping[str, object] | None = None)
     """Read a rig configuration from a YAML file.
 
     Args:
-        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file. Missing values have their defaults.
+        path: a file with the sections of `RigConfig`, or a ROS 2 parameter file with a single node. Missing values have
+            their defaults.
         overrides: values that replace those of the file, by full name, such as `barriers.gap_m`.
 
     Returns:

@@ -132,7 +132,7 @@ def _check_together(config: RigConfig, model: Model) -> None:
 
 @attrs.frozen(eq=False)
 class Block:
-    """Block of consecutive scans of a rig, with the true motion during them and the contacts that ended in this time.
+    """Block of `daq.block_scans` consecutive scans, with the true motion and the contacts that ended during them.
 
     If a fault withholds the scans (`lost`), all other tables are still published.
 
@@ -475,7 +475,8 @@ class Rig:
         self._refuse_if_stopped()
         if self._generator.stream is not None:
             raise CommandError(
-                "the drive is a stream: it accepts samples on shaker/waveform, no frequency or amplitude"
+                "the drive is a stream: it accepts no frequency or amplitude, only samples on shaker/waveform; a block "
+                "without samples ends it"
             )
         if frequency_hz is not None:
             if self._drive.waveform != "sine":
@@ -741,7 +742,8 @@ class Rig:
             raise CommandError(self._why_latched())
         if self.plucked:
             raise CommandError(
-                "the inferior base is locked after a pluck, a free decay: call ~/reset (in Python Rig.reset) first"
+                "the inferior base is locked after a pluck, a free decay: before a command or samples, call ~/reset "
+                "(in Python Rig.reset)"
             )
 
     def _watch(self, motion: Motion, tick_s: float) -> Trip | None:

@@ -396,7 +396,7 @@ def until_reset(present: InstrumentSetup, config: RigConfig) -> RigConfig:
 
 @attrs.frozen
 class FaultChange:
-    """Change of the planned faults: `gone` has the removed lines, and `new` has each added line with its fault."""
+    """Change of the planned faults: texts of the removed lines (`gone`), and of the added ones with their faults."""
 
     gone: tuple[str, ...]
     new: tuple[tuple[str, Fault], ...]

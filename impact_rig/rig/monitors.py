@@ -153,7 +153,7 @@ def _weigh(
         weights: weights of a window's scans.
         sums: for each window the sum of the weights used so far, which does not end at 1 in a truncated window, and for
             each channel the weighted sum of its readings. Window k is in row k modulo the number of rows.
-        statuses: for each window the status bits of the scans between the previous and the next monitor instant.
+        statuses: for each window the status bits that any scan less than one monitor period from its centre has set.
         done: output for each window that ends in the block: number of the scan at its centre, status, means by channel.
     """
     half = weights.shape[0] // 2

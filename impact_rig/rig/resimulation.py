@@ -76,7 +76,7 @@ class RecordedSamples(Buffer):
     """Buffer of a stream that holds all samples of a recording.
 
     It presents only those samples as buffered that took effect in the recorded rig. The BEGIN and END events of the
-    stream in the journal of that rig say which.
+    stream in the journal of that rig say which. If such a sample is not in the recording, `there` raises a ConfigError.
 
     Args:
         rig: re-simulated rig, driven by the stream.
@@ -177,7 +177,8 @@ class Resimulation:
 
     Attributes:
         rig: the re-simulated rig, which may have been simulated further than the blocks taken from `blocks`.
-        blocks: iterator of the rig's blocks, without end; taking blocks simulates the rig.
+        blocks: iterator of the rig's blocks, without end; taking blocks simulates the rig, and raises the errors of
+            `resimulate`.
         calibrations: tables of `daq/info`, oldest first: at the start, and after each change simulated so far.
         configurations: the configuration at the start, and after each parameter change simulated so far.
     """

@@ -108,7 +108,7 @@ def impact_rows(found: Records, clock_per_motion: float, rows: Records, ends: Re
 
 
 class Truth:
-    """Collector of true states and contacts from simulated ticks, which returns them for blocks of scans.
+    """Collector of true states and contacts from simulated ticks of 10 ms, which returns them for blocks of scans.
 
     Args:
         rate_hz: scans per second.

@@ -133,7 +133,8 @@ def last_record(run: Run) -> Excerpt:
     _, _, rows = _newest_scans(run, sys.maxsize, MOST_SCANS / rate_hz, rate_hz)
     if len(rows) < FEWEST_SCANS:
         raise RecordingError(
-            f"{run.path} ends with {len(rows)} contiguous scans; at least {FEWEST_SCANS} without a gap are needed"
+            f"{run.path} ends with {len(rows)} contiguous scans, too few for a frequency response or a decay; at least "
+            f"{FEWEST_SCANS} without a gap are needed"
         )
     return Excerpt(rows, rate_hz, 0.0, np.empty(0), settled=False)
 

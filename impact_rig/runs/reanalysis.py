@@ -178,9 +178,9 @@ def _live_settings(run: Run) -> list[_LiveSettings]:
         )
         earlier.add(started_of(table))
     if invalid and not found:
-        raise RecordingError(f"{run.path}: no settings of its live analysis are valid; the first: {invalid[0]}") from (
-            invalid[0]
-        )
+        raise RecordingError(
+            f"{run.path}: no settings of its live analysis are valid, so choose another run; the first: {invalid[0]}"
+        ) from invalid[0]
     return found
 
 
@@ -543,8 +543,8 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
     """Return the series of scans that the live analysis has not received, according to its rows `live` (at least one).
 
-    The first series is that of the scans before its first row. Each row with the status `lost_blocks` adds that of the
-    scans between it and the next row.
+    The first series is that of the scans before the measurement of its first row. Each row with the status
+    `lost_blocks`, except the last row, adds that of the scans between it and the measurement of the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
     return [_Blind(-math.inf, min(row.begin for row in live)), *lost]

@@ -943,7 +943,10 @@ class _Monitor:
 
 
 def _monitor_rates_hz(run: Run) -> set[float]:
-    """Return the monitor rates of all recorded configurations [Hz], and the default rate if none was published."""
+    """Return the monitor rates of all published and attached configurations [Hz].
+
+    The default rate is among them if no configuration was published, or none is valid.
+    """
     usual_hz = RigConfig().output.monitor_rate_hz
     recorded = [text.encode() for text in texts(run, topics.CONFIGURATION)]
     rates_hz = set() if recorded else {usual_hz}
@@ -957,6 +960,7 @@ def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
     """Return the first field of a recorded monitor message that differs, with both values; empty if none does.
 
     `wanted` has the re-simulated values. A recorded value must equal one exactly, or after rounding to a 32-bit float.
+    NaN equals nothing.
     """
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))

@@ -169,7 +169,7 @@ def load_yaml(text: str, limit: int) -> object:
 
 
 class _Loader(Composer, _Fastest):  # type: ignore[misc]  # chosen at run time
-    """Loader that rejects aliases, duplicate keys and deep nesting while it composes nodes: it parses the text once."""
+    """Loader that parses a text once: it raises PlainYamlError for an alias, a duplicate key or too deep nesting."""
 
     def __init__(self, text: str) -> None:
         Composer.__init__(self)

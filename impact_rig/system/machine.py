@@ -67,7 +67,10 @@ def identity() -> dict[str, str]:
 
 
 def fingerprint() -> int:
-    """Return a hash of `identity` below 2**48, for tables: if it is equal, the same code computes the same bits."""
+    """Return a hash of `identity` below 2**48, for tables; the code is not in it.
+
+    Machines with equal hashes compute the same bits if they run the same code.
+    """
     text = "\n".join(f"{name}={value}" for name, value in sorted(identity().items()))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:_FINGERPRINT_BYTES], "big")
 

@@ -123,12 +123,12 @@ class Silence:
 
 @attrs.frozen
 class Reset:
-    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of the nodes under test."""
+    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of all hosted nodes together."""
 
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Let the rig be reset after `after` further callbacks of the hosted nodes."""
+        """Reset the rig after `after` further callbacks of all hosted nodes together."""
         with_nodes(rig).after(self.after, with_nodes(rig).reset)
 
 
@@ -211,22 +211,26 @@ class Drop:
 
 @attrs.frozen
 class SetParameter:
-    """Change of a parameter of every node under test that has it, after `after` further callbacks."""
+    """Change of a parameter of every node under test that has it.
+
+    It is made after `after` further callbacks of all hosted nodes together; 0 is at once.
+    """
 
     name: str
     value: object
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Let the parameter be changed in the hosted nodes that have it, after `after` further callbacks."""
+        """Change the parameter in the nodes that have it, after `after` further callbacks of all hosted nodes."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).set_parameter(self.name, self.value))
 
 
 @attrs.frozen
 class Send:
-    """Message to the nodes under test, after `after` further callbacks, with the value `data` in its field `data`.
+    """Message to the nodes under test, with the value `data` in its field `data`.
 
-    If `data` is None, all fields of the message have their default values.
+    If `data` is None, all fields of the message have their default values. It is sent after `after` further callbacks
+    of all hosted nodes together; 0 is at once.
     """
 
     topic: str
@@ -234,7 +238,7 @@ class Send:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Let the message be sent to the hosted nodes after `after` further callbacks."""
+        """Send the message to the nodes after `after` further callbacks of all hosted nodes."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).send_data(self.topic, self.data))
 
 
@@ -249,14 +253,17 @@ class Call:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Let the hosted nodes' service be called after `after` further callbacks."""
+        """Call the service of the nodes after `after` further callbacks of all hosted nodes."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).call(self.service))
 
 
 RigAction = Command | ParameterChange | Inject | Pause | Silence
 """Action on any rig. If the rig rejects it, this is not a failure of the pipeline."""
 Action = RigAction | Reset | LateJoin | Delay | First | Burst | Duplicate | Drop | SetParameter | Send | Call
-"""Action on a rig, or on the transport between a `LocalRigWithNodes` and the nodes that it hosts."""
+"""Action on a rig, or on the transport between a `LocalRigWithNodes` and the nodes that it hosts.
+
+Actions that are not a `RigAction` raise a TypeError for another rig, except `LateJoin`.
+"""
 
 
 def with_nodes(rig: RigDriver) -> LocalRigWithNodes:

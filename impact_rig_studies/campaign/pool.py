@@ -146,7 +146,7 @@ P = TypeVar("P", bound=WorkItem)
 
 @attrs.frozen
 class _Made(Generic[R]):
-    """Reply of a worker of a cluster to one job that raised no exception: the result, if any, and the worker's code."""
+    """Reply of a cluster's worker to a job without exception: its code, and the result unless this code is wrong."""
 
     worker: str  # address of the worker
     code: str  # its `code_fingerprint`

@@ -82,19 +82,26 @@ class Point:
 
     @property
     def base_m(self) -> float:
-        """Peak amplitude of the inferior base at the drive frequency [m], mean of the measurements; NaN without one."""
+        """Peak amplitude of the inferior base at the drive frequency [m]: mean of the measurements, settled or not.
+
+        NaN without a measurement.
+        """
         return self._mean("base_amplitude")
 
     @property
     def laser_m(self) -> float:
-        """Peak amplitude of the superior base at the drive frequency [m], mean of the measurements; NaN without one."""
+        """Peak amplitude of the superior base at the drive frequency [m]: mean of the measurements, settled or not.
+
+        NaN without a measurement.
+        """
         return self._mean("laser_amplitude")
 
     @property
     def impacts_per_cycle(self) -> float:
         """Impacts per drive cycle in the accelerometer's signal, mean of the point's measurements.
 
-        NaN without a measurement, without a sound accelerometer, and at scan rates too low to count impacts.
+        NaN without a measurement, with an accelerometer that is dead or contradicts the laser, and at scan rates too
+        low to count impacts. If the accelerometer was over range, the number may be wrong.
         """
         return self._mean("impacts_per_cycle")
 

@@ -93,7 +93,7 @@ def run_hold(arguments: argparse.Namespace) -> int:
     try:
         target = positive(unit).number(arguments.target)
     except ConfigError as error:
-        raise ConfigError(f"argument PEAK, amplitude of {arguments.what}: {error}") from error
+        raise ConfigError(f"argument PEAK, amplitude at which {arguments.what} is held: {error}") from error
     job = _job(arguments)
     sweep = ControlledSine(job.plan(), HoldPlan(hold=arguments.what, target=target, tolerance=arguments.tolerance))
     return _measure_curve(arguments, job, sweep, f"{arguments.what} held at {target:g} {unit}")

@@ -77,7 +77,9 @@ def run_identify(arguments: argparse.Namespace) -> int:
             tell_json([_paper_content(fit) for fit in fits])
         return 0
     if arguments.directory is None:
-        raise ConfigError("the directory of a campaign is needed, e.g. runs/campaign_paper, or the option --paper")
+        raise ConfigError(
+            "the directory of a campaign is needed, e.g. runs/campaign_paper, or --paper to fit the paper's reductions"
+        )
     if not 0.0 <= arguments.e_uncertainty <= 1.0:
         raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
     done = run.open_finished(arguments.directory)

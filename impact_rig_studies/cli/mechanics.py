@@ -89,7 +89,7 @@ def run_map(arguments: argparse.Namespace) -> int:
 
 
 def _add_exponents(done: run.FinishedMap, console: Console, runner: Runner[plans.StudyTask] | None) -> int:
-    """Add the largest Lyapunov exponents, with their standard uncertainties, to the values of a finished map.
+    """Add the largest Lyapunov exponents [1/s], with their standard uncertainties, to the values of a finished map.
 
     Only motions that are not periodic have an exponent. Other points are NaN, as are points whose exponent is neither
     stored nor computed now.

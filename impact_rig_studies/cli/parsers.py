@@ -167,8 +167,8 @@ def add_import(commands: Commands) -> None:
         "--resample",
         type=int,
         metavar="HZ",
-        help="scans per second at which all signals are interpolated, for files whose times are not uniform or differ "
-        "between signals; at least the (median) rate of the file (default: such files are rejected)",
+        help="scans per second at which splines interpolate all signals, for files whose times are not uniform or "
+        "differ between signals; at least the (median) rate of the file (default: such files are rejected)",
     )
     parser.add_argument(
         "--frequency",
@@ -191,7 +191,7 @@ def add_import(commands: Commands) -> None:
         metavar="FILE",
         help="table of the drive commands, with the columns time [s] or stamp_ns, frequency [Hz] and, if known, "
         "current [A peak], used instead of --frequency. Default: one at each change of the frequency signal, or else "
-        "one at the first scan with the value of --frequency",
+        "one at the first scan with the frequency of --frequency or its default",
     )
     parser.add_argument(
         "--calibration",
@@ -272,8 +272,8 @@ def _add_play(tests: Commands) -> None:
         "--clip",
         type=positive("A"),
         metavar="A",
-        help="absolute value to which larger samples are clipped (default: a sample above the shaker's limit ends the "
-        "test)",
+        help="absolute current to which larger samples are clipped (default: a sample above the shaker's limit ends "
+        "the test)",
     )
     _add_stream_options(parser, "play", FAST_HZ)
 
@@ -375,7 +375,10 @@ def _add_shock(tests: Commands) -> None:
 
 def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
     parser.add_argument(
-        "file", type=Path, metavar="FILE", help="file with the signal, in a format that `import` reads, or a run"
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="file with the signal, in a format that `import` reads, or a run; the signal is resampled to --scan-rate",
     )
     parser.add_argument(
         "--signal",
@@ -386,7 +389,8 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         "--unit",
         default="",
         metavar="UNIT",
-        help="unit of a file's values, not for a run (default: the unit in the file, else SI)",
+        help="unit of a file's values, not for a run (default: the unit in the file, else the SI unit of the played "
+        "current or the replicated motion)",
     )
     parser.add_argument(
         "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
@@ -400,7 +404,10 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
 
 
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
-    add_rig(parser, needs=" and drive.waveform: stream")
+    add_rig(
+        parser,
+        needs=", in which drive.waveform must be stream, and daq.rate_hz and drive.stream_rate_hz equal to --scan-rate",
+    )
     parser.add_argument(
         "--scan-rate",
         type=int,
@@ -414,9 +421,10 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=_limit,
         default=[],
         metavar="CHANNEL=X",
-        help="limits of channels; a larger absolute reading ends the test, e.g. laser=5mm current=2A (default: none)",
+        help="limits of channels; a larger absolute reading ends the test, e.g. laser=5mm current=2A; only a length "
+        "needs its unit (default: none)",
     )
-    add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
+    add_output(parser, f"new or empty directory of the results (default: runs/{test}_<time>)")
     add_json(parser)
 
 
@@ -513,7 +521,7 @@ def _add_backbone(tests: Commands) -> None:
         required=True,
         metavar="A",
         help="peak coil currents in A, above 0 and in ascending order, e.g. 0.1 0.2 0.4; they are measured upwards and "
-        "then downwards (required)",
+        "then downwards, the largest once (required)",
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")
@@ -538,7 +546,7 @@ def _add_current(parser: argparse.ArgumentParser) -> None:
 def _add_sine_options(parser: argparse.ArgumentParser, test: str) -> None:
     add_rig(parser, (PROCESS, ROS))
     add_json(parser)
-    add_output(parser, f"directory of the results (default: runs/{test}_<time>)")
+    add_output(parser, f"new or empty directory of the results (default: runs/{test}_<time>)")
 
 
 def add_campaign(commands: Commands) -> None:
@@ -600,7 +608,7 @@ def add_report(commands: Commands) -> None:
         type=Path,
         metavar="DIR",
         help="campaign with varied constants (config/campaigns/margins.yaml), for the sensitivity of the "
-        "paper's statements",
+        "paper's statements (default: the reported campaign)",
     )
     parser.add_argument(
         "--branches",

@@ -59,7 +59,7 @@ def words(
     address = ""
     if way == "dask":
         if not rest:
-            raise ConfigError("--through dask needs the address of a scheduler, e.g. tcp://127.0.0.1:8786")
+            raise ConfigError("--through dask needs the address of a scheduler: --through dask tcp://127.0.0.1:8786")
         address = rest.pop(0)
     file = arguments.file or (Path(rest.pop(0)) if rest else None)
     if file is None:

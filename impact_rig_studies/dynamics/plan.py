@@ -721,12 +721,13 @@ def _basin(
 
 
 def _led_to(rig: MapRig, place: Place, attractors: Sequence[Sequence[str | float]]) -> tuple[int, int]:
-    """Continue the motion of a rig until it approaches a known attractor, impacts cease, or `_MOST_CYCLES` are over.
+    """Continue the motion of a rig until it is near a known attractor, impacts cease, or `_MOST_CYCLES` are over.
 
-    Impacts have ceased if there is none in `CHUNK` cycles.
+    Near means within `_NEAR`. Impacts have ceased if there is none in `CHUNK` cycles. `place` states frequency and
+    amplitude of the drive.
 
     Returns:
-        Index of the attractor in `attractors` (from `_attractors`), or −1 if impacts cease or the motion approaches
+        Index of the attractor in `attractors` (from `_attractors`), or −1 if impacts cease or the motion comes near
         none, and the number of simulated cycles.
 
     Raises:

@@ -94,8 +94,8 @@ def _value(key: str, value: object, kind: object) -> object:
         positive = bool(np.all(f > 0.0) and np.all(densities > 0.0))
         if not (2 <= len(f) == len(densities) and positive and np.all(np.diff(f) > 0.0)):
             raise ConfigError(
-                f"{key} needs two corners or more: ascending frequency_hz > 0, and as many values of density > 0, got "
-                f"{value}"
+                f"{key} needs two corners or more: ascending frequency_hz > 0, and as many values of density > 0 (in "
+                f"unit of the response² / Hz), got {value}"
             )
         return found
     if kind == "tuple[float, ...]":
@@ -247,7 +247,7 @@ def _even_rate(path: Path, time_s: NDArray[np.float64]) -> float:
     if not np.all(off_s <= max(0.5 * period_s, step_of(time_s))):
         worst = int(np.argmax(np.where(np.isfinite(off_s), off_s, np.inf)))
         raise ConfigError(
-            f"{path}: the times are not evenly spaced: the one of value {worst + 1} is {off_s[worst]:.4g} s off the "
-            f"mean period of {period_s:.6g} s; resample the signal to even times"
+            f"{path}: the times are not evenly spaced: the one of value {worst + 1} is {off_s[worst]:.4g} s off, "
+            f"more than half of the mean period of {period_s:.6g} s; resample the signal to even times"
         )
     return 1.0 / period_s

@@ -82,7 +82,8 @@ class ReplicatePlan:
         identify_rms: rms of the drive while the response function is measured [A].
         identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
             played.
-        burst_s: duration of the burst before each trial, if one is needed [s]; at most `identify_s` is used.
+        burst_s: duration of the burst before each trial [s], if equal trials differ without one; at most `identify_s`
+            is used.
         response: response that follows the history, one of `Response` except `BASE_ACCELERATION`, which has no sensor.
         seed: seed of the random phases of the drive while the response function is measured.
     """
@@ -321,7 +322,7 @@ def _identify(
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
     if not (low_hz < high_hz and plan.low_hz < plan.high_hz):
         raise ConfigError(
-            f"low_hz must be < high_hz, and < {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
+            f"low_hz must be below both high_hz and {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
             f"{plan.low_hz:g} and high_hz = {plan.high_hz:g}"
         )
     excitation = Excitation(

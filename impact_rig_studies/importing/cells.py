@@ -204,7 +204,7 @@ class Times:
     """
 
     def __init__(self, cells: Sequence[str]) -> None:
-        """Convert the cells of a column.
+        """Convert the cells of a column; `_is_month_first` determines the order of day and month.
 
         Raises:
             ValueError: a cell is not a time, or its date does not exist. The message is the text of the cell. For a

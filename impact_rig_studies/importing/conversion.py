@@ -79,7 +79,8 @@ def convert(
         source: content of the file.
         mapping: assignment of its signals to channels.
         drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current`
-            [A peak]. None means that the mapping states the frequency, or if it does not, that it is found in the data.
+            [A peak]. None means that the mapping states the frequency, or if it does not, that it is found in the data
+            (0 if they show none).
         sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence.
             Resolution and skew that neither states are estimated from the data; all other properties are ideal. A rate
             in the table is ignored.
@@ -283,7 +284,8 @@ def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: N
 class _Instants:
     """Conversion between the position of a scan (0 for the first in the file) and its stamp [ns].
 
-    Missing scans have no position. Stamps count from the same instant as `start_ns`.
+    Missing scans have no position. Stamps count, like `start_ns`, from 1970 if the file states dates, else from the
+    zero of its own stamps, or from its first scan if it has none.
     """
 
     index: NDArray[np.int64]
@@ -438,7 +440,9 @@ def _in_unit(path: Path, name: str, signal: Signal, wanted: str) -> Real:
     unit = _PEAK.sub("", signal.unit)
     factor = units.unit_factor(unit, wanted) if unit else 1.0
     if factor is None:
-        raise ConfigError(f"{path}: {name!r} must have a unit that can be converted to {wanted}, got {signal.unit!r}")
+        raise ConfigError(
+            f"{path}: {name!r} must have a unit that can be converted to {wanted}, or no unit, got {signal.unit!r}"
+        )
     return signal.values if factor == 1.0 else factor * signal.values
 
 

@@ -38,7 +38,7 @@ OnUpdate = Callable[[SteppedSine], None]  # receives the sweep at its start and 
 
 @attrs.frozen
 class Applied:
-    """Change of the drive's frequency or current that the rig has accepted and applied, with its rig time."""
+    """Frequency and current of the drive after a change that the rig has accepted and applied, with its rig time."""
 
     setpoint: Setpoint  # frequency and current from that time on
     at_ns: int  # rig time of the change

@@ -167,7 +167,8 @@ class PhaseLock:
         frequency_hz: commanded frequency.
         current_a: commanded peak current [A] (m or V by `drive.kind`).
         locked_ns: rig time of the first lock, or None.
-        u_gain: `Sample.u_gain` of the newest sample; 0 before the first.
+        u_gain: relative standard uncertainty of DT due to the sensors' sensitivities, from the newest sample; 0 before
+            the first.
     """
 
     def __init__(self, plan: LockPlan) -> None:
@@ -701,8 +702,8 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
     """Measure a backbone curve: lock the phase at each current, first ascending then descending, and average.
 
     The measurement ends early if the lock is aborted: the shaker stops, a sample is too short or not `sound`, the
-    superior base exceeds its limit, or the phase does not lock at the first current. A later point at which it
-    does not lock in time is measured as well, and marked as not locked.
+    displacement of the superior base exceeds its limit, or the phase does not lock at the first current. A later point
+    at which it does not lock in time is measured as well, and marked as not locked.
 
     Args:
         sweep: currents, plan of the lock, and times.

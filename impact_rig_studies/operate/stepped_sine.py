@@ -150,7 +150,7 @@ class SteppedSine:
 
     @property
     def current_a(self) -> float:
-        """Commanded peak current of all points [A] (m or V by `drive.kind`), also while no sweep runs."""
+        """Peak current that the plan states for all points [A] (m or V by `drive.kind`), also while no sweep runs."""
         return self._plan.current_a
 
     def start(self, now_ns: int) -> Setpoint:
@@ -326,7 +326,10 @@ class ControlledSine(SteppedSine):
 
     @property
     def current_a(self) -> float:
-        """Commanded peak current [A] (m or V by `drive.kind`) of the present attempt at the present point."""
+        """Commanded peak current [A] (m or V by `drive.kind`) of the present attempt at the present point.
+
+        Before the start it is the current of the plan.
+        """
         return self._current_a
 
     @property

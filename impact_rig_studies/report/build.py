@@ -119,7 +119,8 @@ def _continued(name: str, directory: Path, done: Finished) -> Drawn:
     """Draw the branches in an output directory of `impact-rig dynamics continue` as the figure `name`.
 
     Raises:
-        ConfigError: they cannot be shown in the report of this campaign.
+        ConfigError: the directory has no results of such a study, or the branches belong to another rig than that of
+            the campaign `done`, or are over a parameter that a report does not show.
     """
     study = dynamics.open_study(directory, dynamics.CONTINUE)
     try:

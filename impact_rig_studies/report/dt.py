@@ -334,7 +334,10 @@ def case(gap_m: float) -> str:
 
 
 def curve_numbers(gap_m: float, points: Sequence[Point]) -> Line:
-    """Return the numbers of a drawn curve for its CSV: DT and phase of all `points`; `gap_m` only names the curve."""
+    """Return the numbers of a drawn curve for its CSV; `gap_m` only names the curve.
+
+    They are frequency, DT, expanded uncertainty of DT, and phase in degrees of all `points`.
+    """
     return Line(
         case(gap_m),
         {

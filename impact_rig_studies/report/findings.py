@@ -181,7 +181,8 @@ def margins(varied: list[Variation], content: Content) -> Iterator[Markup]:
     """Yield a table that shows how the paper's statements turn out on rigs with varied constants, as HTML.
 
     A cell contains the value that decides a statement, and the verdict; it is empty if the statement was not judged.
-    `varied` contains the verdicts for these rigs; without any, nothing is yielded.
+    `varied` contains the verdicts for these rigs; without any, nothing is yielded. `content` also stores the table, for
+    `report.json`.
     """
     if not varied:
         return

@@ -382,7 +382,7 @@ def test_commands_and_labels_of_a_file_are_converted_to_si_units(tmp_path: Path)
     assert [one[1] for one in convert(source, mapping).drive] == pytest.approx([9.0, 541 / 60])
     assert any("0.006" in label for label in found.labels)
     with pytest.raises(
-        ImpactRigError, match=r"drive.csv: 'current' must have a unit that can be converted to A, got 'V'"
+        ImpactRigError, match=r"drive.csv: 'current' must have a unit that can be converted to A, or no unit, got 'V'"
     ):
         convert(source, mapping, table(tmp_path, commands.replace("mA peak", "V"), "drive.csv"))
 

@@ -53,7 +53,9 @@ def realised(hysteresis_factor: float) -> float:
         ValueError: the factor is negative or not finite.
     """
     if hysteresis_factor < 0.0 or not math.isfinite(hysteresis_factor):
-        raise ValueError(f"hysteresis factor of a contact law must be finite and >= 0, got {hysteresis_factor!r}")
+        raise ValueError(
+            f"dimensionless hysteresis factor of a contact law must be finite and >= 0, got {hysteresis_factor!r}"
+        )
     if hysteresis_factor < _SMALL:
         return 1.0 - hysteresis_factor * 2.0 / 3.0
     a = Decimal(hysteresis_factor)

@@ -170,7 +170,7 @@ def at_point_of(force: Any) -> Any:
 
 
 def at_stages_of(force: Any) -> Any:
-    """Return a function that evaluates `force` at all stages of a step and stores F, its lossy part and derivatives."""
+    """Return a function that evaluates `force` at all stages of a step; it stores F, lossy part, ∂F/∂w, ∂F/∂δ'."""
 
     def at_stages(p: Record, per_v0: float, step: Record) -> None:
         for i in range(STAGES):

@@ -391,6 +391,9 @@ def _column(path: Path, column: list[str], numbers: list[int], j: int, layout: L
     for place, cell in enumerate(column):
         value = cells.number(cell, layout.decimal)
         if value is None:
-            raise RecordingError(f"{path}: line {numbers[place] + 1}, column {j + 1}: {cell[:SHOWN]!r} is not a number")
+            raise RecordingError(
+                f"{path}: line {numbers[place] + 1}, column {j + 1}: {cell[:SHOWN]!r} is not a number: correct "
+                "the cell, or write n/a for a missing number"
+            )
         values[place] = value
     return values

@@ -146,9 +146,10 @@ def _add(
 
 
 def _abscissa(one: dict[str, Any], count: int) -> Abscissa:
-    """Return the abscissa of a dataset with `count` values: evenly spaced times by its header, or its listed times.
+    """Return the abscissa of a dataset with `count` values: evenly spaced times by its header, or its listed times [s].
 
-    An abscissa of another quantity, or of invalid times, has another kind than `TIME` and contains no values.
+    It has another kind than `TIME` and no values if its quantity or unit is not that of a time, the increment is not
+    finite and > 0, or the listed times are not `count` many. Listed times are not checked further.
     """
     quantity = int(one.get("abscissa_spec_data_type", UNKNOWN) or UNKNOWN)
     unit = _label(one.get("abscissa_axis_units_lab"))

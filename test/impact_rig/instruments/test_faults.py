@@ -211,7 +211,7 @@ def test_a_fault_cannot_be_injected_into_the_past():
         ),
         (
             {"kind": "clock_drift", "value": -1e6},
-            "value of the fault clock_drift must be within ± 500000 ppm, got -1000000.0",
+            "value of the fault clock_drift, by which the clock is slow, must be within ± 500000 ppm, got -1000000.0",
         ),
     ],
 )

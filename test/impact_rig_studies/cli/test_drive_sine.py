@@ -124,9 +124,9 @@ def test_the_backbone_command_locks_at_every_current_up_and_down(rig, tmp_path, 
     [
         (["backbone", "--currents", "0.4", "0.3"], "ascending"),
         (["lock", "--start", "90"], "start_hz (--start) must be > 5"),
-        (["hold", "base", "60e-6"], "PEAK, amplitude of base: a length needs a unit"),
-        (["hold", "superior", "0mm"], "PEAK, amplitude of superior: must be > 0 m"),
-        (["hold", "current", "60um"], "PEAK, amplitude of current: the unit must be one of A, mA"),
+        (["hold", "base", "60e-6"], "PEAK, amplitude at which base is held: a length needs a unit"),
+        (["hold", "superior", "0mm"], "PEAK, amplitude at which superior is held: must be > 0 m"),
+        (["hold", "current", "60um"], "PEAK, amplitude at which current is held: the unit must be one of A, mA"),
     ],
 )
 def test_invalid_arguments_are_reported_in_one_line(words, message, tmp_path, capsys):
