@@ -163,7 +163,7 @@ def compare(
 
     Raises:
         ConfigError: the drive was not measured, or a gap or value of the configuration is invalid for the model.
-        RecordingError: no measurement settled, or a reading is not finite.
+        RecordingError: no measurement settled, a reading is not finite, or the rig was reset during the run.
         BudgetError: the run has more than `SCANS` scans.
         SimulationError: the model's motion cannot be resolved.
     """
@@ -264,6 +264,11 @@ class _ModelledScans:
         self.stamps = np.concatenate(
             [table.stamp_ns + np.arange(len(table.rows)) * NS_PER_S // self.rate_hz for table in tables]
         )
+        if len(back := np.flatnonzero(np.diff(self.stamps) < 0)):
+            raise RecordingError(
+                f"{run.path}: the stamps go back after {back[0] + 1} scans, as after a reset of the rig; only a run "
+                "without a reset can be compared: record one"
+            )
         self.true = np.zeros(len(measured), SCAN)
         for name in CHANNELS:
             self.true[name] = samples_of(measured, name)

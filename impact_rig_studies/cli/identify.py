@@ -44,6 +44,7 @@ from impact_rig_studies.identification.fit import (
     logarithms,
 )
 from impact_rig_studies.identification.measurements import (
+    U_RESTITUTION,
     Gains,
     Measured,
     measured_decay,
@@ -63,6 +64,7 @@ def run_identify(arguments: argparse.Namespace) -> int:
     the directory never holds results of two fits. For the paper's reductions, nothing is written.
     """
     console = Console(quiet=arguments.json)
+    _check_combination(arguments)
     if arguments.paper:
         if arguments.directory is not None:
             raise ConfigError(
@@ -106,6 +108,27 @@ def run_identify(arguments: argparse.Namespace) -> int:
     else:
         tell_program(arguments.directory.resolve())
     return 0
+
+
+def _check_combination(arguments: argparse.Namespace) -> None:
+    """Check that no option is given that has no effect on what is fitted.
+
+    Raises:
+        ConfigError: there is such an option; the message names it.
+    """
+    of_campaign = {
+        "--decay": arguments.decay,
+        "--rig": arguments.rig,
+        "--decrement": arguments.decrement,
+        "--without": arguments.without,
+        "--e-uncertainty": arguments.e_uncertainty != U_RESTITUTION,
+    }
+    if option := next((name for name, value in of_campaign.items() if value and arguments.paper), ""):
+        raise ConfigError(f"{option} applies only to a campaign, not to --paper: omit one of them")
+    if arguments.config and not arguments.paper:
+        raise ConfigError("--config applies only to --paper, as a campaign has its own configuration: omit it")
+    if arguments.rig and not arguments.decay:
+        raise ConfigError("--rig applies only to the run of --decay: omit it, or add --decay RUN")
 
 
 def _measured(done: run.Finished, arguments: argparse.Namespace, console: Console) -> Measured:

@@ -72,7 +72,7 @@ def build_report(
 
     Raises:
         ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
-            another rig; or margins or branches are given for a run or an imported campaign.
+            another rig; or margins or branches are given for a run or an imported campaign, or `rig` for a campaign.
         RecordingError: a campaign has no measurement yet, a run cannot be read or analysed, or a file cannot be
             written.
     """
@@ -90,6 +90,8 @@ def build_report(
         paths = [*directory.glob("*.mcap")] if directory.is_dir() else [directory]
         html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
         return write(data.title, html)
+    if rig:
+        raise ConfigError(f"--rig applies only to a run, but {directory} holds a campaign; leave it out")
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(

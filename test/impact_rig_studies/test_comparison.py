@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kits.recorded_rig import record, scanned
 
 from impact_rig.analysis.calibration import Calibration
 from impact_rig.analysis.scans import CHANNELS, CURRENT, LASER
@@ -56,6 +57,17 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "sphere": measured_rig(14, **{"barriers.gap_m": 0.004}).save(folder / "sphere"),
         "linear": measured_rig(20, **{"sphere.present": False}).save(folder / "linear"),
     }
+
+
+def test_a_run_with_a_reset_is_rejected(tmp_path: Path) -> None:
+    """Its stamps occur twice, so scans and labels cannot be assigned to each other by time."""
+    twice = [message for _ in range(2) for message in scanned(measured_rig(14, **{"sphere.present": False}))]
+    record(tmp_path / "run", twice)
+    with (
+        open_run(tmp_path / "run") as run,
+        pytest.raises(RecordingError, match="the stamps go back after 28000 scans"),
+    ):
+        compare(run, fits=False)
 
 
 @pytest.mark.parametrize("driven_by", ["current", "base"])

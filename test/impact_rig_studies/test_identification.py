@@ -576,6 +576,20 @@ def test_the_fit_to_the_paper_takes_no_campaign(capsys):
     assert "--paper fits the paper's reductions of DT and takes no directory" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--paper", "--decay", "runs/pluck"], "--decay applies only to a campaign"),
+        (["--paper", "--e-uncertainty", "0.1"], "--e-uncertainty applies only to a campaign"),
+        (["runs/campaign", "--config", "rig.yaml"], "--config applies only to --paper"),
+        (["runs/campaign", "--rig", "/a"], "--rig applies only to the run of --decay"),
+    ],
+)
+def test_an_option_without_an_effect_is_rejected(capsys, words, says):
+    assert main(["identify", *words]) == 1
+    assert says in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_the_shipped_rig_is_near_the_best_fit_to_the_paper():
     """As docs/how-to/identification.md says, f_n and ζ follow from the five reductions, but the current does not."""

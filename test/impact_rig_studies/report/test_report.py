@@ -223,6 +223,8 @@ def test_continued_motions_are_drawn_with_the_measurements(reported, compared, t
         f"{out}: the branches belong to another rig: its sphere.diameter_m is 0.006, but 0.00635 in the campaign"
         in capsys.readouterr().err
     )
+    assert main(["report", str(reported), "--output", page, "--rig", "/a"]) == 1
+    assert "--rig applies only to a run" in capsys.readouterr().err
 
 
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*[A-Za-z_])")
