@@ -162,7 +162,7 @@ class Scope:
         rows = table.rows[-self._size :]
         for name in channels_of(rows):
             if rows.dtype[name].kind not in "fiu":
-                raise CodecError(f"channel {name} of daq/scan is not numeric, so that its block cannot be drawn")
+                raise CodecError(f"channel {name} of daq/scan is not numeric, so no channel of this block is drawn")
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return

@@ -32,9 +32,9 @@ WIDTH = 78  # width of help pages, for a terminal of 80 columns
 NAMESPACE = "/rig"  # of a running rig
 PROCESS, ROS, RUNNING = "process", "ros", "running"
 WAYS = {
-    PROCESS: "in this program (default)",
-    ROS: "in ROS nodes that this program starts",
-    RUNNING: "a rig that already runs (--config, --gap and --sphere-start are refused), with its own configuration",
+    PROCESS: "this program, the default",
+    ROS: "ROS nodes that this program starts",
+    RUNNING: "a rig that already runs and refuses --config, --gap and --sphere-start",
 }
 """Places where a rig can run, each with its meaning."""
 
@@ -128,7 +128,7 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
         ways: places where the rig can run, of `WAYS`.
         needs: what the configuration of a running rig must have, for the help.
     """
-    places = "; ".join(f"{way}, {WAYS[way]}" for way in ways)
+    places = ", ".join(f"{way} ({WAYS[way]})" for way in ways)
     parser.add_argument("--through", choices=ways, default=PROCESS, help=f"place where the rig runs: {places}{needs}")
     parser.set_defaults(needs_ros=lambda arguments: arguments.through != PROCESS)
     if RUNNING in ways:

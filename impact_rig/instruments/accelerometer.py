@@ -41,7 +41,7 @@ NOT_MEASURED = -1.0  # REP-145: first element of the covariance of a quantity th
 
 @attrs.frozen(kw_only=True)
 class Accelerometer(Instrument):
-    """Piezoelectric accelerometer and charge amplifier on the superior base (Endevco 2226C class)."""
+    """Settings of the piezoelectric accelerometer (Endevco 2226C class) on the superior base, and of its amplifier."""
 
     name = "accelerometer"
     place = 0

@@ -28,7 +28,7 @@ from impact_rig.topics import Qos, Topic
 
 @attrs.frozen(kw_only=True)
 class Base(Instrument):
-    """Inductive displacement sensor on the inferior base (Dornier IWA NT25 class)."""
+    """Settings of the inductive displacement sensor on the inferior base (Dornier IWA NT25 class)."""
 
     name = "base"
     place = 2

@@ -28,7 +28,7 @@ from impact_rig.instruments.sensor import Sensor, lag
 
 @attrs.frozen(kw_only=True)
 class Current(Instrument):
-    """Coil current monitor of the power amplifier; the phases of the other channels are relative to its phase."""
+    """Settings of the power amplifier's coil current monitor; the phases of the other channels are relative to its."""
 
     name = "current"
     place = 3

@@ -39,7 +39,7 @@ INFRARED = 1  # `Range.INFRARED`
 
 @attrs.frozen(kw_only=True)
 class Laser(Instrument):
-    """Laser triangulation sensor on the superior base (Wenglor YP06MGVL80 class), 0 V at the near end (x_1 > 0)."""
+    """Settings of the laser sensor on the superior base (Wenglor YP06MGVL80 class), 0 V at the near end (x_1 > 0)."""
 
     name = "laser"
     place = 1

@@ -242,12 +242,12 @@ def _limit_length(s: Record, step: Record) -> float:
 
 @kernel
 def take_step(p: Record, law: CompiledForce, s: Record, step: Record) -> int:
-    """Solve the next step of a contact; return the event that ends it, NOTHING if none does, or FAILED.
+    """Solve the next step of a contact; return the event at the step's end, NOTHING if none comes first, or FAILED.
 
-    FAILED means that none of many lengths gave a valid step. `s.h` becomes the length of the solved step in χ (see this
-    module), `s.next_h` the proposed length of the step after it. The rest of the state stays in place until `conclude`
-    moves it. `expand` must have filled `step` about s, and `step.time_left` must be the time to the end of the drive
-    segment [s].
+    Only some events also end the contact. FAILED means that none of many lengths gave a valid step. `s.h` becomes the
+    length of the solved step in χ (see this module), `s.next_h` the proposed length of the step after it. The rest of
+    the state stays in place until `conclude` moves it. `expand` must have filled `step` about s, and `step.time_left`
+    must be the time to the end of the drive segment [s].
     """
     begin_step(p, law, s, step)
     s.h = _limit_length(s, step)

@@ -251,7 +251,9 @@ def _journals(run: Run) -> tuple[list[list[JournalEntry]], list[list[Sent]], int
     """
     found: list[list[JournalEntry]] = []
     if run.topics[run.resolve(topics.JOURNAL.name)].topic.type_name == topics.TABLE:
-        raise RecordingError(f"its journal is a table, as an earlier version of impact_rig wrote it: {_USE}")
+        raise RecordingError(
+            f"its journal (rig/journal) is a table, which only earlier versions of impact_rig can verify: {_USE}"
+        )
     scan, journal = run.resolve(topics.SCAN.name), run.resolve(topics.JOURNAL.name)
     waveform = run.resolve(topics.WAVEFORM.name) if run.holds(topics.WAVEFORM) else ""
     sent: list[list[Sent]] = [[]]

@@ -406,7 +406,7 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
 def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int) -> None:
     add_rig(
         parser,
-        needs=", in which drive.waveform must be stream, and daq.rate_hz and drive.stream_rate_hz equal to --scan-rate",
+        needs=". A running rig needs drive.waveform: stream, and --scan-rate as daq.rate_hz and drive.stream_rate_hz",
     )
     parser.add_argument(
         "--scan-rate",

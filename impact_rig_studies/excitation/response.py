@@ -80,7 +80,9 @@ class Response(enum.StrEnum):
         return motion(rows[self.channel].astype(float), calibration, self.channel_index, top_hz)
 
     def weight(self, calibration: Calibration, frequency_hz: Real) -> Real:
-        """Return the factor by which the power spectral density of the channel's reading becomes that of the response.
+        """Return the factor by which the power spectral density of the channel's reading becomes that of this response.
+
+        It divides out the response of the sensor. For `BASE_ACCELERATION` it also turns displacement into acceleration.
 
         Args:
             calibration: calibration of the sensors.

@@ -112,7 +112,9 @@ class Gains:
         return cls(np.array([*gains, *curve]), calibration)
 
     def relative(self, channel: int, amplitude: Real, frequency_hz: Real | float) -> Real:
-        """Return how much each nuisance parameter changes a measured amplitude: d ln(amplitude) / d parameter.
+        """Return how much each relative error in `NUISANCES` changes a measured amplitude: d ln(amplitude) / d error.
+
+        It is 1 for the gain of the channel, depends on the amplitude for its curve, and is 0 for all others.
 
         Args:
             channel: index of the channel, `LASER`, `BASE` or `CURRENT`.
@@ -120,7 +122,7 @@ class Gains:
             frequency_hz: frequency, or one for each amplitude.
 
         Returns:
-            Derivatives by the parameters in the order of `NUISANCES`, shape (n, 6).
+            Derivatives in the order of `NUISANCES`, shape (n, 6).
         """
         effect = np.zeros((len(amplitude), len(NUISANCES)))
         effect[:, (LASER, BASE, CURRENT).index(channel)] = 1.0
