@@ -158,7 +158,8 @@ class DaqmxTask:
         run: number of times that the task was started.
         begin_ns: wall time of its first sample [ns since 1970].
         passed: number of samples per channel since the start that were read; of an output, that were passed to the rig.
-        written: number of samples written to an output since the task was created.
+        written: number of samples written to an output: those in its buffer after the last write before the start, and
+            all written since.
         error: error that ended the task; None if there was none.
         acquisition: input of the rig, from the start of an input task until `Board.stop`, even if done; else None.
         output: output of the rig, from the start of an output task until it ends; else None.
@@ -503,6 +504,8 @@ class Board:
         Raises:
             DaqmxError: the task has no channels, an output task has no samples, another task is using the inputs or the
                 output, or the rig cannot run at the task's rate.
+            CommandError: the drive of a running rig is not a stream.
+            ConfigError: the blocks of a running rig are too long for an output.
         """
         if task.is_active:
             return
@@ -516,7 +519,6 @@ class Board:
             what = "inputs are" if task.kind == "ai" else "output is"
             raise DaqmxError(Code.RESOURCE_RESERVED, f"the {what} in use by task {other.name!r}: stop it first")
         rig = self._prepare(task)
-        task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
         if task.kind == "ai":
             buffered = max(task.buffer_size, rig.block_scans)
             if task.samples is not None and buffered >= task.samples:
@@ -524,6 +526,7 @@ class Board:
             task.acquisition = Acquisition(rig, buffer_s=buffered / rig.rate_hz)
         else:
             task.output = AnalogOutput(rig, buffer_s=BUFFER_S, raise_underrun=not task.regenerates)
+        task.run, task.passed, task.error, task.state = task.run + 1, 0, None, State.ARMED
         if not task.trigger:
             armed = [one for one in self.tasks.values() if one.state is State.ARMED and one.trigger == task.kind]
             self._trigger(rig, [task, *armed])
@@ -658,7 +661,7 @@ class Board:
         elif not task.is_active:
             kept = task.data if task.state is State.IDLE else task.data[:0]
             task.data = np.concatenate([kept, values])[-(task.buffer_samples or MOST_SAMPLES) :]
-            task.state = State.IDLE
+            task.state, task.written = State.IDLE, len(task.data) - len(values)  # the circle begins at the oldest
         elif task.regenerates:
             at = (task.written + np.arange(len(values))) % len(task.data)
             task.data[at] = values

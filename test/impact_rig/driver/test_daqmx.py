@@ -50,8 +50,9 @@ from nitypes.waveform import AnalogWaveform
 
 from impact_rig.cli import main
 from impact_rig.driver import LocalRig
-from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError
+from impact_rig.driver.daqmx_board import MOST_TASKS, Board, DaqmxError, DaqmxTask
 from impact_rig.driver.daqmx_server import MOST_EVENTS, MOST_MESSAGE_BYTES, serving
+from impact_rig.errors import CommandError, ConfigError
 from impact_rig.rig.config import RigConfig, from_flat
 
 IDEAL = {"instruments.ideal": True, "sphere.present": False}
@@ -555,3 +556,44 @@ def test_the_script_of_the_page_measures_the_dt_of_the_rig(tmp_path: Path) -> No
         measured = rig.rows("transmissibility/table")["transmissibility"][-1]
     assert measured == pytest.approx(stated, abs=limit)
     assert float(found[1]) == pytest.approx(stated, abs=limit)
+
+
+def add_output(board: Board, rate_hz: int, samples: int) -> DaqmxTask:
+    task = board.create("output")
+    board.add_channels(task, "ao", "Dev1/ao0", "", (-10.0, 10.0), 1.0, "Volts")
+    board.configure_clock(task, rate_hz, samples, finite=True)
+    return task
+
+
+@pytest.mark.parametrize(
+    ("config", "error", "message"),
+    [
+        ({}, CommandError, "the drive is sine, not a stream"),
+        ({"drive.waveform": "stream", "daq.block_scans": 1000}, ConfigError, "buffer_s must be from"),
+    ],
+)
+def test_a_running_rig_without_an_output_is_rejected_at_each_start(
+    config: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    board = Board(RigConfig(), LocalRig({**IDEAL, **config}))
+    with contextlib.closing(board), board.changed:
+        task = add_output(board, 10_000, 100)
+        for _ in range(2):
+            with pytest.raises(error, match=message):
+                board.write(task, WAVE[:100], 1.0, lambda: True, auto_start=True)
+            assert not task.is_active
+
+
+@pytest.mark.parametrize("buffer", [None, 100])
+def test_a_repeated_buffer_is_overwritten_from_its_beginning(buffer: int | None) -> None:
+    """A buffer written again after its end begins with its first sample; a full one with its oldest."""
+    board = Board(from_flat(RigConfig(), IDEAL))
+    with contextlib.closing(board), board.changed:
+        task = add_output(board, RATE_HZ, 400)
+        if buffer is not None:
+            board.configure_buffer(task, buffer)
+        for values in (WAVE[:120], WAVE[:150]):
+            board.write(task, values, 1.0, lambda: True, auto_start=True)
+            board.write(task, np.ones(10), 1.0, lambda: True, auto_start=False)
+            assert np.flatnonzero(task.data == 1.0).tolist() == list(range(10))
+            board.wait_until_done(task, 10.0, lambda: True)
