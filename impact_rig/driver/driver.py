@@ -298,7 +298,7 @@ class RigDriver(abc.ABC):
 
     @property
     def stream_rate_hz(self) -> int:
-        """Samples per second of a stream that drives the rig, as configured (`drive.stream_rate_hz`)."""
+        """Samples per second of the stream that drives the rig; a new `drive.stream_rate_hz` counts from a reset on."""
         return self.config.drive.stream_rate_hz
 
     @property

@@ -250,7 +250,8 @@ class Acquisition:
 
     Args:
         rig: rig to read; calls drop the tables that it keeps, except calibrations, commands and journal.
-        buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
+        buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost. A `read` that waits for
+            more scans makes the buffer larger.
 
     Attributes:
         next_scan: number of the next scan to be read; None until the first one is known.
@@ -310,7 +311,7 @@ class Acquisition:
         """Return the next `count` scans as soon as they have arrived; start the acquisition if necessary.
 
         Args:
-            count: number of scans, at most those that fit into `buffer_s`.
+            count: number of scans.
             timeout_s: longest time without a new scan [s of wall time].
 
         Returns:
@@ -322,6 +323,8 @@ class Acquisition:
         """
         if not self._started and self.available < count:
             self.start(self.next_scan)
+        if self.available < count:  # whole blocks arrive, and none of these scans may be overwritten meanwhile
+            self._most = max(self._most, count + self._rig.block_scans)
         deadline, before = time.monotonic() + timeout_s, self._end
         while self.available < count:
             _advance(self._rig, deadline, f"{count} scans")

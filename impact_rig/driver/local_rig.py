@@ -279,6 +279,11 @@ class LocalRig(RigDriver):
         return StreamLevel(stream.played, stream.buffered(), stream.capacity, late, stream.missing)
 
     @property
+    def stream_rate_hz(self) -> int:
+        """Samples per second of the stream that drives the rig; a new `drive.stream_rate_hz` counts from a reset on."""
+        return self.core.stream.rate_hz if self.core.takes_samples else super().stream_rate_hz
+
+    @property
     def stopped(self) -> str:
         """Reason why the shaker is stopped by a trip or an emergency stop; empty if it is not stopped.
 

@@ -565,6 +565,12 @@ class RosRig(RigDriver):
         buffered = max(int(row["buffered"]), self._sent_to - sample)
         return StreamLevel(sample, buffered, *(int(row[name]) for name in ("capacity", "late", "missing")))
 
+    @property
+    def stream_rate_hz(self) -> int:
+        """Samples per second of the stream that drives the rig; a new `drive.stream_rate_hz` counts from a reset on."""
+        state = self._stream.last() if self._stream else None
+        return super().stream_rate_hz if state is None else int(state.rows["rate"][0])
+
     def _published_states(self) -> Collector:
         """Return the received states of the stream (`shaker/stream`), or raise a CommandError without a stream."""
         if self._stream is None or self.config.drive.waveform != "stream":

@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from impact_rig.blocks import Table
 from impact_rig.driver import Acquisition, AnalogOutput, Hardware, LocalRig, RigDriver, UnderrunError
 from impact_rig.driver.hardware import Exchange
 from impact_rig.errors import CommandError, ConfigError
@@ -327,6 +328,30 @@ def test_the_state_of_an_output_is_current_without_other_calls() -> None:
             pass
         assert output.buffered == 0
         assert output.write(WAVE) >= RATE_HZ // 10
+
+
+@pytest.mark.parametrize("count", [300, 250, 3000], ids=["whole", "within a block", "more than the buffer"])
+def test_any_number_of_scans_can_be_read_at_once(count: int) -> None:
+    rig = LocalRig(LINEAR)
+    acquisition = Acquisition(rig, buffer_s=min(count, 300) / RATE_HZ)
+
+    def check(_table: Table) -> None:
+        assert rig.sample <= count + BLOCK, "the read should have returned"
+
+    rig.connect(check)
+    assert len(acquisition.read(count)) == count
+    assert acquisition.lost == 0
+
+
+def test_new_rates_of_a_stream_count_from_the_next_reset() -> None:
+    rig = LocalRig({**STREAM, "drive.stream_wait": False})
+    rig.configure({"drive.stream_rate_hz": 4000})
+    assert rig.stream_rate_hz == RATE_HZ
+    rig.reset()
+    assert rig.stream_rate_hz == 4000
+    rig.configure({"drive.waveform": "sine"})
+    rig.reset()
+    assert rig.stream_rate_hz == 4000
 
 
 def test_a_reading_beyond_its_limit_ends_the_test() -> None:
