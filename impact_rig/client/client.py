@@ -336,6 +336,7 @@ class Client:
         node: the `rclpy` node.
         applied: changes of the drive that the rig has applied, if `commands` is true.
         diagnostics: latest diagnostics of each node, by name.
+        reported_ns: stamp of these diagnostics [ns]; of a rig, that of its next block.
 
     Examples:
         >>> import impact_rig
@@ -373,6 +374,7 @@ class Client:
         self.executor.add_node(self.node)
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         """Latest diagnostics of each node, by name relative to the client's namespace, or by full name outside it."""
+        self.reported_ns: dict[str, int] = {}
         self._hosted: list[Any] = []
         self._spinner = Spinner(self.executor)
         self._rigs: dict[str, AddressedActivation] = {}
@@ -1000,7 +1002,7 @@ class Client:
         for status in message.status:
             name, _, component = status.name.partition(":")
             name = f"/{name}".removeprefix(f"{namespace}/")
-            self.diagnostics[name] = status
+            self.diagnostics[name], self.reported_ns[name] = status, messages.nanoseconds(message.header.stamp)
             values = {value.key: value.value for value in status.values}
             if component.strip() == RIG and values.get("lifecycle") == "active":  # its next activation is another rig
                 self._rigs.setdefault(name, AddressedActivation(self._spinner.waited_s)).heard(

@@ -61,7 +61,7 @@ from impact_rig.rig.config import RigConfig, differences, from_flat, to_flat
 from impact_rig.rig.core import EMERGENCY
 from impact_rig.rig.interlock import OVER_TRAVEL, Trip
 from impact_rig.rig.journal import InputKind, JournalEntry
-from impact_rig.simtime import NS_PER_S, stamp_ns
+from impact_rig.simtime import NS_PER_S, first_scan_at, stamp_ns
 
 NODE_TIMEOUT_S = 30.0  # time limit for a node under test to subscribe
 ACK_WINDOW, WINDOW_S = 8, 0.1
@@ -260,12 +260,22 @@ class RosRig(RigDriver):
         return bool(figures) and names <= subscribers(self.client.node, topics.SCAN.name)
 
     def _join(self) -> None:
-        """Read the stamp of scan 0 from `daq/info`; if the rig runs by itself, its newest block gives the next scan."""
+        """Read the stamp of scan 0 from `daq/info`, and the number of the next scan.
+
+        If the rig runs by itself, its newest block gives that number. A rig in lockstep publishes no block until it is
+        stepped, but its diagnostics have the stamp of the next block.
+        """
         info = self.client.wait_until(self._collectors[topics.INFO.name].last, topics.INFO.name)
         self._start_ns = info.stamp_ns - round(float(info.rows["since_start"][0]) * NS_PER_S)
         if self.runs_by_itself:
             first = self.client.wait_until(self._collectors[SCANS].last, "a block of scans", STEP_TIMEOUT_S)
             self.sample = self._kept_from = self.first_scan(first)
+            return
+        reported_ns = self.client.reported_ns
+        reported_ns.pop("rig", None)  # may be older than the last step of another client
+        self.client.wait_until(lambda: "rig" in reported_ns, "the rig's diagnostics")
+        self.sample = first_scan_at(reported_ns["rig"], self.rate_hz, self._start_ns)
+        self.sample = self._kept_from = self._received_to()
 
     def _hand_over(self, message: Received) -> None:
         for listener in self._listeners:
@@ -518,7 +528,8 @@ class RosRig(RigDriver):
         parameter instead states the start relative to the moment of injection.
         """
         injected = {line for line, _ in self._injected}
-        planned = zip(self.config.instruments.faults.planned, super().faults, strict=True)
+        lines = (line for line in self.config.instruments.faults.planned if line.split())  # no fault on an empty one
+        planned = zip(lines, super().faults, strict=True)
         return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
 
     def poll(self) -> None:

@@ -33,6 +33,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Header
 
 from impact_rig.client import Client, ServiceFailedError, isolated_domain
+from impact_rig.client.processes import Processes
 from impact_rig.errors import CommandError, ConfigError, RecordingError
 from impact_rig.nodes.rig_node import RigNode
 from impact_rig.recording import open_run
@@ -210,6 +211,36 @@ def test_a_running_rig_accepts_changes_and_faults_and_has_an_analysis(rig: RosRi
     (started,) = (row for row in rig.rows("truth/faults") if row["active"] and row["kind"] == b"stuck")
     assert started["channel"] == b"laser"
     assert {"barriers.gap_m": 0.004} in [dict(entry.values) for entry in rig.journal()]
+
+
+def test_a_rig_in_lockstep_is_joined_at_its_present_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with isolated_domain() as domain_id, Processes(domain_id, tmp_path / "logs", "/rig") as processes:
+        processes.start("rig", {**LINEAR, "time.mode": "lockstep"})
+        with Client(domain_id, "/rig", processes, "operator") as operator:
+            operator.wait_active("rig")
+            for _ in range(7):
+                operator.trigger("rig/step")
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+        with RosRig(namespace="/rig") as rig:
+            assert (rig.sample, rig.lost_scans) == (700, 0)
+            rig.inject(Fault(kind="offset_step", channel="laser", start_sample=1000, value=1e-3))
+            rig.run_to_sample(1100)
+            assert (rig.sample, rig.lost_scans, rig.first_scan(rig.tables()[0])) == (1100, 0, 700)
+            assert list(rig.newest("truth/faults", 1)["sample"]) == [1000]
+
+
+def test_empty_lines_of_planned_faults_are_no_faults() -> None:
+    with RosRig({**LINEAR, "instruments.faults.planned": [" ", LOST.line(10_000)]}, hosted=True) as rig:
+        rig.inject(fault := Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3))
+        assert rig.faults == [LOST, fault]
+
+
+def test_a_new_rate_of_a_stream_counts_from_the_next_reset() -> None:
+    with RosRig({**LINEAR, "drive.waveform": "stream"}, hosted=True) as rig:
+        rig.configure({"drive.stream_rate_hz": 5000})
+        assert rig.stream_rate_hz == 10_000
+        rig.client.trigger("rig/reset")
+        rig.client.wait_until(lambda: rig.stream_rate_hz == 5000, "the new rate")
 
 
 def test_a_node_without_a_subscription_cannot_be_in_lockstep(rig: RosRig) -> None:
