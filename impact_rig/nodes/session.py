@@ -671,15 +671,16 @@ class Session:
         rig = self.running()
         starving = self.is_starving
         if self.paused or self.window.silent() or starving:  # a running rig gives nothing up
-            self.paused = self._is_still = False
+            was_paused, self.paused, self._is_still = self.paused, False, False
             _answer(self._pausing, False, "the rig was resumed by another request")
             if not self.is_lockstep:
                 self._end_steps("the rig was resumed by another request")
             self.window.waive()
             if starving:
                 rig.feed(rig.stream.played + rig.stream.buffered(), ())
-            self.pacer.rebase(self._simulated_ns(rig))
-            self._start_timer(self.node.settings)
+            if was_paused:  # otherwise, real time went on, and blocks that are due keep their time
+                self.pacer.rebase(self._simulated_ns(rig))
+                self._start_timer(self.node.settings)
             self.node.report_change()
         done(True, "running")
 

@@ -297,6 +297,17 @@ def test_resuming_a_running_rig_gives_up_no_time(client: Client, monkeypatch: py
     assert due_ns() >= before + stood_ns, "as long as it stood still, and what pausing took"
 
 
+def test_resuming_without_a_silent_peer_gives_up_no_time(client: Client) -> None:
+    timing = {"time__peers": ["client"], "time__peer_timeout_s": 0.2, "time__factor": 0.1}
+    session = host_rig(client, "realtime", **timing)._session
+    client.wait_active("rig")
+    client.collect("daq/scan")  # listens, but never acknowledges
+    client.wait_until(lambda: bool(session.window.silent()), "the silence of the peer")
+    before = session.pacer._deadline_ns(0)
+    client.pause(False)
+    assert session.pacer._deadline_ns(0) == before
+
+
 def test_a_paused_rig_updates_its_subscribers_at_each_step(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publishers, "GRAPH_POLL_S", 1000.0)  # a running one in real time looks now and then
     host_rig(client, "realtime")
