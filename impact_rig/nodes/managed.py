@@ -240,6 +240,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         self._guard_transitions()
         self._cpu = CpuMeter()
         self._last_error: tuple[float, str] = (-ERROR_MEMORY_S, "")
+        self._configure_error = ""  # why the node is not configured; empty without an error
         self._warned: dict[str, float] = {}
         self._instance = secrets.token_hex(INSTANCE_BYTES)
         self._word: enum.StrEnum | None = None
@@ -468,19 +469,27 @@ class ManagedNode(LifecycleNode, Generic[S]):
             name: service name.
             on_request: called with each request and a function that answers it, now or later. If it raises an
                 ImpactRigError, the request is rejected with that message. Any other exception gives such an answer,
-                too, and is reported by `report_failure`. Every answer without success is logged and counted. If the
-                node's state has changed after the call, diagnostics are published at once.
+                too, and is reported by `report_failure`. Only the first answer is sent. Every answer without success is
+                logged and counted. If the node's state has changed after the call, diagnostics are published at once.
             check_sent: called before `on_request` with the system time at which the request was sent [ns]; raises an
                 ImpactRigError to reject the request.
         """
         reason = name.removeprefix("~/")
 
         def answer(request: Any, sent_ns: int, send: Callable[[Any], None]) -> None:
+            is_answered = False
+
+            def respond(success: bool, message: str) -> None:
+                nonlocal is_answered
+                if not is_answered:  # `on_request` may raise after it has called `done` or kept it for later
+                    is_answered = True
+                    send(service_type.Response(success=success, message=message))
+
             def done(success: bool, message: str) -> None:
                 message = one_line(message)
                 if not success:
                     self.refuse(reason, message)
-                send(service_type.Response(success=success, message=message))
+                respond(success, message)
 
             try:
                 if check_sent is not None:
@@ -491,7 +500,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             except Exception as error:  # no exception caused by a request may end the process
                 message = one_line(describe(error))
                 self.report_failure(reason, message)
-                send(service_type.Response(success=False, message=message))
+                respond(False, message)
             self.report_change()
 
         LateService(self, service_type, name, answer)
@@ -525,9 +534,9 @@ class ManagedNode(LifecycleNode, Generic[S]):
 
         It also fails if the start-up parameters are invalid.
         """
+        self._last_error, self._configure_error = (-ERROR_MEMORY_S, ""), ""
         if self.parameters.refused is not None:
             return self._failed("configure", self.parameters.refused)
-        self._last_error = (-ERROR_MEMORY_S, "")
         done = self._transition("configure", self.configure, undo=self._free)
         if done == TransitionCallbackReturn.SUCCESS:
             self.get_logger().info("node configured")
@@ -601,9 +610,12 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return TransitionCallbackReturn.SUCCESS
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
-        message = reason_of(error)
-        self._last_error = (float("inf") if what == "configure" else time.monotonic(), f"cannot {what}: {message}")
-        self.get_logger().error(one_line(f"cannot {what}: {message}"))
+        message = f"cannot {what}: {reason_of(error)}"
+        if what == "configure":
+            self._configure_error = message
+        else:
+            self._last_error = (time.monotonic(), message)
+        self.get_logger().error(one_line(message))
         return TransitionCallbackReturn.FAILURE
 
     def _guard_transitions(self) -> None:
@@ -718,9 +730,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """
         if self.active:
             return self.doing()
-        at, message = self._last_error
-        fresh = time.monotonic() - at < ERROR_MEMORY_S
-        return NodeState(self.STATES("inactive"), f"{self.state}: {message}" if fresh else self.state)
+        errors = "; ".join(self._errors())
+        return NodeState(self.STATES("inactive"), f"{self.state}: {errors}" if errors else self.state)
 
     def report_now(self) -> None:
         """Publish the node's diagnostics now: level, message, state and figures."""
@@ -761,10 +772,13 @@ class ManagedNode(LifecycleNode, Generic[S]):
         The error has level ERROR. If `health` has this level, too, both messages are returned. An error that prevented
         `configure` lasts until the next try.
         """
+        return worst(self.health(), *((Level.ERROR, message) for message in self._errors()))
+
+    def _errors(self) -> list[str]:
+        """Return the error that prevented `configure` and one of the last five seconds, if there are any."""
         at, message = self._last_error
-        if time.monotonic() - at < ERROR_MEMORY_S:
-            return worst(self.health(), (Level.ERROR, message))
-        return self.health()
+        recent = message if time.monotonic() - at < ERROR_MEMORY_S else ""
+        return [error for error in (self._configure_error, recent) if error]
 
 
 class LateService:

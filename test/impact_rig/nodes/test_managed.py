@@ -31,6 +31,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from rclpy.service import Service
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -40,6 +41,7 @@ from impact_rig.client.client import ros_parameters
 from impact_rig.config.fields import integer, names, quantity, switch
 from impact_rig.config.tree import Tree
 from impact_rig.errors import CommandError, ConfigError
+from impact_rig.nodes import managed
 from impact_rig.nodes.managed import Done, Level, ManagedNode, NodeState
 from impact_rig.nodes.process import EXECUTOR_VARIABLE
 
@@ -71,6 +73,7 @@ class Small(ManagedNode[Settings]):
         self.service(Trigger, "~/raise", self._raise)
         self.service(Trigger, "~/refuse", self._refuse)
         self.service(Trigger, "~/later", self._later)
+        self.service(Trigger, "~/answer_and_raise", self._answer_and_raise)
         self.waiting: list[Done] = []
         self.ticks = 0
 
@@ -105,6 +108,10 @@ class Small(ManagedNode[Settings]):
 
     def _raise(self, _request: Any, _done: Done) -> None:
         raise KeyError("a bug in a service")
+
+    def _answer_and_raise(self, _request: Any, done: Done) -> None:
+        done(True, "answered")
+        raise KeyError("a bug after the answer")
 
     def _refuse(self, _request: Any, _done: Done) -> None:
         raise CommandError("not now")
@@ -148,6 +155,25 @@ def test_a_service_can_answer_later_with_every_executor(user: Client) -> None:
     assert user.trigger("small/later") == "answered"
 
 
+def test_a_request_is_answered_once_even_if_its_callback_then_raises(
+    user: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[str] = []
+    send = Service.send_response
+
+    def count(service: Service, response: Any, header: Any) -> None:
+        if isinstance(response, Trigger.Response):
+            sent.append(response.message)
+        send(service, response, header)
+
+    monkeypatch.setattr(Service, "send_response", count)
+    node = user.host(Small, parameter_overrides=ros_parameters({"bugs": False}))
+    user.wait_active("small")
+    assert user.trigger("small/answer_and_raise") == "answered"
+    assert sent == ["answered"]
+    assert node.refusals.counts == {"exception": 1}
+
+
 def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) -> None:
     node = user.host(Small)
     user.wait_active("small")
@@ -166,10 +192,19 @@ def test_a_node_survives_invalid_transitions_and_can_be_restarted(user: Client) 
     )
 
 
-def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(client: Client) -> None:
+def test_a_failed_configure_leaves_an_unconfigured_node_that_can_be_repaired(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(managed, "ERROR_MEMORY_S", 0.5)
     client.host(Small, parameter_overrides=ros_parameters({"fails": True, "bugs": False}))
     client.wait_until(lambda: "a part is missing" in client.status("small").message, "the reason")
     assert client.state("small") == "unconfigured"
+    with pytest.raises(ServiceFailedError):
+        client.trigger("small/raise")
+    client.wait_until(lambda: "a bug in a service" in client.status("small").message, "the later error")
+    client.wait_until(lambda: "a bug in a service" not in client.status("small").message, "its end")
+    assert "a part is missing" in client.status("small").message
+    assert "a part is missing" in client.figures("small")["reason"]
     client.set_parameters("small", {"fails": False})
     assert client.change_state("small", "configure")
     client.wait_until(lambda: client.status("small").message == "fine", "the error to be gone")
