@@ -87,9 +87,11 @@ def message_class(type_name: str) -> Any:
 
     Raises:
         ImportError, AttributeError: the package is not installed, or lacks this type.
-        ValueError: `type_name` does not have three parts.
+        ValueError: `type_name` does not have three parts, or its package is not a name.
     """
     package, _, name = type_name.split("/")
+    if not package.isidentifier():
+        raise ValueError(f"{package!r} is not the name of a package of message types")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 

@@ -22,10 +22,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 
+from impact_rig import codec
 from impact_rig.client import Client, Collector
+from impact_rig.errors import ImpactRigError
 from impact_rig.nodes import player
 from impact_rig.nodes.player import WINDOW, Player
-from impact_rig.recording import Run
+from impact_rig.recording import Run, TopicDescription
 from impact_rig.testing import LocalRig
 
 pytestmark = pytest.mark.ros
@@ -73,6 +75,21 @@ def test_a_paused_player_sends_the_calibration_but_no_scan(client: Client, run: 
         for _ in rounds:
             pass
         client.wait_until(lambda: len(scans) == BLOCKS, "every block")
+
+
+@pytest.mark.parametrize("name", ["X", "/msg/X", ".a/msg/X", "no_such_package/msg/X", "std_msgs/msg/X"])
+def test_a_run_with_a_message_type_that_is_not_installed_is_rejected(client: Client, tmp_path: Path, name: str) -> None:
+    rig = LocalRig({"sphere.present": False})
+    rig.step()
+    with rig._new_recording(tmp_path / "run", rig._kept, "") as recording:
+        recording.add_topic(TopicDescription(name="/other", type_name=name, schema="float64 data"))
+        recording.write("/daq/scan", codec.encode(rig.tables()[0]), 0)
+        recording.write("/other", b"\0\1\0\0", 0)
+    with (
+        Run(tmp_path / "run") as opened,
+        pytest.raises(ImpactRigError, match=f"/other: the message type {name!r} is not installed"),
+    ):
+        Player(opened, client.node, client.executor.spin_once)
 
 
 def test_a_player_that_was_suspended_blames_no_peer(client: Client, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
