@@ -132,7 +132,7 @@ def usable_harmonics(rate_hz: float, frequency_hz: float, wanted: int) -> int:
     ):
         return 0
     per_cycle = rate_hz / frequency_hz
-    return max(1, min(wanted, int(0.45 * per_cycle), (int(per_cycle) - 1) // 2))
+    return min(wanted, int(0.45 * per_cycle), (int(per_cycle) - 1) // 2)
 
 
 class Accumulator:

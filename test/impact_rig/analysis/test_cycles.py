@@ -134,6 +134,7 @@ def test_flags_name_the_channel_and_the_kind_of_problem():
 )
 def test_harmonics_stay_below_half_the_rate(frequency_hz, expected):
     assert usable_harmonics(10_000, frequency_hz, 5) == expected
+    assert usable_harmonics(10_000, frequency_hz, 0) == 0, "never more than wanted"
 
 
 @given(st.floats(8.0, 40.0), st.integers(1, 9))
