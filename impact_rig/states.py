@@ -149,7 +149,7 @@ class Status(Word):
         "DT was measured, but the current channel is dead, disturbed, or changed while the motion did not.",
     )
     NOT_SETTLED = "not_settled", "The longest wait is over and the response still changes: DT may drift."
-    LOST_BLOCKS = "lost_blocks", "Blocks of scans were missing during the measurement."
+    LOST_BLOCKS = "lost_blocks", "Blocks of scans were missing; a measurement in progress ended."
     OVER_RANGE = "over_range", "A displacement or the current was at or beyond the range of its channel."
     COMMAND_CHANGED = "command_changed", "Frequency or current changed during the measurement."
     LABEL_CHANGED = "label_changed", "The gap label changed during the measurement."

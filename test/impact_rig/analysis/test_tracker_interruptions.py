@@ -89,6 +89,13 @@ def test_a_gap_inside_a_block_is_found():
     assert made.counters.lost_scans == 10
 
 
+def test_a_gap_is_reported_without_a_drive_too():
+    made, (first, _, third) = tracker(None), blocks(record(seconds=0.03), RATE, 20)
+    (row,) = feed_all(made, [first, third])[0]
+    assert row.rows["status"] == b"lost_blocks"
+    assert np.isnan(row.rows["frequency"])
+
+
 def test_a_gap_at_the_beginning_of_a_block_is_found():
     """The scans of the block must not be taken for the missing ones: then the gap would be part of the mean."""
     first, second = blocks(record(seconds=13.0), RATE, [12_000, 14_000])
