@@ -32,7 +32,7 @@ from impact_rig.system import files
 from impact_rig_studies.campaign import run
 from impact_rig_studies.campaign.paper import CURRENT_A, FREQUENCIES_HZ, FREQUENCY_HZ, REDUCTION_PERCENT
 from impact_rig_studies.decay import REASONS, fit_decay, log_decrement
-from impact_rig_studies.identification import paper_fit
+from impact_rig_studies.identification import U_RESTITUTION, paper_fit
 from impact_rig_studies.identification.fit import (
     NAMES,
     SCALED,
@@ -44,7 +44,6 @@ from impact_rig_studies.identification.fit import (
     logarithms,
 )
 from impact_rig_studies.identification.measurements import (
-    U_RESTITUTION,
     Gains,
     Measured,
     measured_decay,
