@@ -1069,7 +1069,7 @@ def published(node: Node, topic: str) -> tuple[topics.Topic, QoSProfile] | None:
 def _succeeded(name: str, response: Any) -> str:
     """Return the message of a service's response; raise a `ServiceFailedError` with it if `success` is false."""
     if not response.success:
-        raise ServiceFailedError(f"{name}: {response.message}")
+        raise ServiceFailedError(f"{name} failed: {response.message}")
     return str(response.message)
 
 

@@ -53,7 +53,8 @@ MOST = 1000  # maximum number of items processed in one poll, for a queue withou
 def parameter_overrides(node: Any) -> dict[str, Any]:
     """Return the parameter values given to a node at start (by file, command line or argument), by parameter name.
 
-    They are read together so that they can be validated together: rclpy would stop at the first bad value.
+    They are read together, so that values that depend on each other can be validated as one combination. rclpy would
+    validate one at a time, in the order of declaration.
     """
     return {name: parameter.value for name, parameter in node._parameter_overrides.items()}
 
