@@ -668,6 +668,19 @@ def test_two_files_of_the_same_sweep_point_are_rejected(
     assert found == {(0.006, 9.1): 20, (0.003, 9.1): 15, (0.006, 9.3): 5}
 
 
+def test_no_point_is_simulated_into_an_imported_campaign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The report would show it as measured in the laboratory, with the calibration of its instruments."""
+    for name, frequency_hz in (("gap_3mm", 9.1), ("gap_6mm", 9.3)):
+        (tmp_path / f"{name}.csv").write_text(readings(1.0, 1e-3, frequency_hz=frequency_hz), encoding="utf-8")
+    out = tmp_path / "out"
+    files = [str(tmp_path / f"{name}.csv") for name in ("gap_3mm", "gap_6mm")]
+    assert main(["import", *files, "--campaign", "--output", str(out)]) == 0
+    kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main(["campaign", str(out / "campaign.yaml"), "--output", str(out)]) == 1
+    assert "out has imported points, which cannot be measured: choose another" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
+
+
 def test_a_campaign_names_each_point_without_a_settled_measurement(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
