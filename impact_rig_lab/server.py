@@ -351,7 +351,7 @@ class Server:
         self._pages = 0  # number of pages that are open or about to open: a player needs a while to find its run
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
-        self._failure: OSError | None = None
+        self._failure: OSError | UnicodeError | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
 
@@ -374,18 +374,20 @@ class Server:
         self._ready.wait()
         if self._failure is not None:
             self._thread.join()
-            reason = self._failure.strerror or str(self._failure)
+            reason = "invalid host name"
+            if isinstance(self._failure, OSError):
+                reason = self._failure.strerror or str(self._failure)
             raise ImpactRigError(
                 f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port or --host"
             ) from self._failure
 
     def close(self) -> None:
-        """Disconnect all open pages, and stop the server."""
+        """Disconnect all open pages, and stop the server; without effect if it is not running."""
         loop, end = self._loop, self._end
         if loop is not None and end is not None and self._thread.is_alive():
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(end.set)
-        self._thread.join()
+            self._thread.join()
 
     def __enter__(self) -> Server:
         self.start()
@@ -414,7 +416,7 @@ class Server:
             listener.setblocking(False)
             address, self.port = listener.getsockname()[:2]
             self._is_local = ipaddress.ip_address(address).is_loopback  # under any name
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # UnicodeError: the name has an empty or too long part
             self._failure = error
             await runner.cleanup()
             return

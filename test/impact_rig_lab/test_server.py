@@ -441,6 +441,17 @@ def test_a_port_in_use_is_named(server: Server, source: FakeSource) -> None:
         Server(source, port=server.port).start()
 
 
+def test_a_host_name_that_cannot_be_looked_up_is_rejected(source: FakeSource) -> None:
+    server = Server(source, host="a..b", port=0)
+    with pytest.raises(ImpactRigError, match=r"cannot serve a\.\.b:0: invalid host name; choose"):
+        server.start()
+    server.close()
+
+
+def test_a_server_that_was_never_started_can_be_closed(source: FakeSource) -> None:
+    Server(source, port=0).close()
+
+
 def test_only_this_user_can_read_the_stored_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     token = kept_token()
