@@ -142,15 +142,17 @@ class Scope:
         return self.end / self.rate_hz
 
     def clear(self) -> None:
-        """Forget all scans, so that there is no picture until new scans are added."""
+        """Forget all scans and commanded samples, so that there is no picture until new scans are added."""
         self.begin = self.end = 0
+        if self._commanded is not None:
+            self._commanded[:] = np.nan
 
     def add(self, table: Table, start_ns: int) -> None:
         """Add a block of scans.
 
         Scans that are missing between the kept scans and the block become NaN. If the block begins before the end of
-        the kept scans, or after it by more than the length of the buffer, the kept scans are dropped first. A block
-        that begins before scan 0 is ignored.
+        the kept scans, or after it by more than the length of the buffer, the kept scans and commanded samples are
+        dropped first. A block that begins before scan 0 is ignored.
 
         Args:
             table: table of `daq/scan`.
@@ -166,13 +168,17 @@ class Scope:
         first = round((table.stamp_ns - start_ns) * self.rate_hz / NS_PER_S) + len(table.rows) - len(rows)
         if first < 0 or not len(rows):
             return
-        if self.end == self.begin or not 0 <= first - self.end < self._size:
+        if self.end > self.begin and not 0 <= first - self.end < self._size:
+            self.clear()
+        if self.end == self.begin:
             self.begin = self.end = first
             for level in self._levels:
                 level.end = first // level.fine
             self._scans.blank(self._levels[-1].end * self._levels[-1].fine, first)
         else:
             self._scans.blank(self.end, first)
+            if self._commanded is not None:  # samples for missing scans would be drawn one buffer length later
+                self._commanded[np.arange(self.end, first) % self._size] = np.nan
         self._write(first, rows)
         self.end = first + len(rows)
         self.begin = max(self.begin, self.end - self._size)

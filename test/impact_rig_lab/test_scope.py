@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kits.lab import RATE, scans
 
+from impact_rig.blocks import WAVEFORM, Table
 from impact_rig_lab.scope import LONGEST_S, Scope, spectrum
 
 
@@ -137,6 +138,22 @@ def test_a_jump_back_in_time_clears_the_scope() -> None:
     scope.add(scans(100, 50, laser=2.0), 0)
     assert (scope.begin, scope.end) == (100, 150)
     assert Scope(RATE).window(1.0, 10) is None
+
+
+@pytest.mark.parametrize("event", ["lost scans", "jump back", "jump ahead", "clear"])
+def test_commanded_samples_that_met_no_scan_are_not_drawn_later(event: str) -> None:
+    """They remain in the ring buffer, whose positions the scans of one buffer length later have."""
+    scope = filled(2.0)
+    rows = np.zeros(1500, WAVEFORM)
+    rows["value"] = 1.0
+    scope.command(Table(2 * 10**9, rows), RATE, 0)
+    if event == "clear":
+        scope.clear()
+    first = {"lost scans": 3000, "jump back": 1000, "jump ahead": 20_000, "clear": 2000}[event]
+    for block in range(first, first + 15_000, 100):
+        scope.add(scans(block, 100), 0)
+        is_commanded = event == "lost scans" and block < 3500
+        assert (np.isfinite(scope.stretch(0.1)[-1]) == is_commanded).all(), block
 
 
 def test_the_spectrum_has_the_amplitude_of_a_sine() -> None:
