@@ -128,8 +128,14 @@ class Reset:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Reset the rig after `after` further callbacks of all hosted nodes together."""
-        with_nodes(rig).after(self.after, with_nodes(rig).reset)
+        """Reset the rig after `after` further callbacks of all hosted nodes together, unless its shaker is stopped."""
+        nodes = with_nodes(rig)
+
+        def reset() -> None:
+            with contextlib.suppress(CommandError, ConfigError):  # called later, where `repeat` catches nothing
+                nodes.reset()
+
+        nodes.after(self.after, reset)
 
 
 @attrs.frozen
@@ -374,7 +380,7 @@ def repeat(rig: RigDriver, check: Check, actions: Sequence[Action]) -> None:
         with contextlib.suppress(CommandError, ConfigError):
             action.do(rig)
         rig.step()
-    if not all(isinstance(action, RigAction) for action in actions):
+    if not all(isinstance(action, RigAction | LateJoin) for action in actions):
         with_nodes(rig).calm()
     lasting = max((fault.start_sample + fault.samples for fault in rig.faults), default=0) - rig.sample
     rig.step(min(max(0, -(-lasting // rig.block_scans)), MOST_BLOCKS) + AFTERWARDS)

@@ -21,7 +21,7 @@ import time
 import pytest
 
 from impact_rig.testing import LocalRig
-from impact_rig.testing.strategies import Command, Inject, Pause, Silence, repeat, search
+from impact_rig.testing.strategies import Command, Inject, LateJoin, Pause, Silence, repeat, search
 
 QUICK = {"daq.rate_hz": 1000, "daq.block_scans": 10}
 LIMIT_S = 30.0
@@ -89,6 +89,12 @@ def test_every_action_has_its_described_effect():
     assert {"command", "timeout", "parameter", "fault"} <= kinds
     assert sum(end - first for first, end in rig.lost_samples()) == 20
     assert rig.config.output.command_timeout_s == LocalRig(QUICK).config.output.command_timeout_s
+
+
+def test_a_pipeline_can_join_any_rig_late():
+    joined = []
+    repeat(LocalRig(QUICK), lambda rig: joined.append(rig.sample), [LateJoin(4)])
+    assert joined == [40]
 
 
 @pytest.mark.ros
