@@ -201,8 +201,12 @@ class LocalRigWithNodes(LocalRig):
         self._flush()
         hosted = _Hosted(None, self._time_ns)
         self._hosted.append(hosted)
-        with as_default(self._context), self._running(hosted, f"{make_node.__name__}()"):
-            hosted.node = make_node(**kwargs)
+        try:
+            with as_default(self._context), self._running(hosted, f"{make_node.__name__}()"):
+                hosted.node = make_node(**kwargs)
+        except BaseException:
+            self._hosted.remove(hosted)
+            raise
         if not hosted.node.get_parameter("use_sim_time").value:
             hosted.node.set_parameters([Parameter("use_sim_time", value=True)])
         self._stack.callback(hosted.node.destroy_node)

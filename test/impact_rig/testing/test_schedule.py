@@ -301,6 +301,30 @@ def test_an_action_on_the_transport_needs_a_rig_with_nodes() -> None:
         repeat(rig, lambda _: None, [Burst(2)])
 
 
+@pytest.mark.parametrize("after", [0, 1, 1000])
+def test_a_reset_that_the_rig_rejects_has_no_effect(after: int) -> None:
+    """The shaker is stopped, which a reset must not clear; the last reset is due only at the end of the scenario."""
+
+    def stopped(rig: Any) -> None:
+        rig.host(Observer)
+        rig.core.stop()
+
+    with LocalRigWithNodes(QUICK) as rig:
+        repeat(rig, stopped, [Reset(after), Pause(5)])
+        assert "reset" not in {entry.kind.value for entry in rig.journal()}
+
+
+def test_a_node_that_cannot_be_created_is_not_hosted() -> None:
+    with LocalRigWithNodes(QUICK) as rig:
+        out = rig.listen("out")
+        with pytest.raises(TypeError, match="unexpected keyword"):
+            rig.host(Observer, width=3)
+        rig.step()
+        rig.host(Observer)
+        rig.step()
+        assert [message.data for message in out.messages] == [2, 0]
+
+
 def test_the_recorded_run_of_a_reset_rig_is_valid(tmp_path: Path) -> None:
     with LocalRigWithNodes(QUICK) as rig:
         node = rig.host(Observer)
