@@ -71,6 +71,13 @@ def test_the_lab_shows_a_run_at_once(sample: Path, open_page: Callable[..., Page
         page.js("lab.link.socket.onclose = null")
 
 
+def test_a_lab_without_a_recorder_names_no_recording_of_another_program(sample: Path, tmp_path: Path) -> None:
+    with lab(tmp_path, str(sample)):
+        (tmp_path / "runs" / "other").mkdir(parents=True)
+        (tmp_path / "runs" / "other" / "other.mcap").touch()
+    assert "recorded:" not in (tmp_path / "lab.log").read_text()
+
+
 @pytest.mark.heavy
 def test_the_sample_contains_the_settings_of_the_analysis(sample: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = {path.name: path.stat().st_mtime_ns for path in sample.iterdir()}
