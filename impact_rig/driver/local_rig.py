@@ -222,6 +222,7 @@ class LocalRig(RigDriver):
 
         Raises:
             CommandError: the shaker is stopped, which a reset must not clear.
+            ConfigError: the limits of the shaker are below `drive.amplitude`, after `configure`; nothing is changed.
         """
         self.core.reset()
         self._start_ns, self.sample = self.core.start_ns, 0

@@ -718,6 +718,7 @@ class Session:
 
         Raises:
             CommandError: the shaker is latched; nothing is changed.
+            ConfigError: the limits of the shaker are below `drive.amplitude`, after a change; nothing is changed.
         """
         rig.reset()
         self._end_steps("the rig was reset")
