@@ -157,11 +157,11 @@ def run(arguments: argparse.Namespace) -> int:
     runs = arguments.runs[0].resolve().parent if arguments.runs else arguments.output
     with contextlib.ExitStack() as stack:
         source: Any = None
-        starts_recorder = not (arguments.runs or arguments.sample or arguments.attach)
+        records = not (arguments.runs or arguments.sample or arguments.attach or arguments.no_record)
         earlier = _recordings(arguments.output)
         # runs last, when the recorder has finished
         stack.callback(
-            lambda: _say_where(source, lambda: _recordings(arguments.output) - earlier if starts_recorder else set())
+            lambda: _say_where(source, lambda: _recordings(arguments.output) - earlier if records else set())
         )
         source = _source(arguments, stack)
         source.theory.branches = branches
@@ -208,9 +208,9 @@ def _say_where(source: Any, new: Callable[[], set[Path]]) -> None:
 
     Args:
         source: what the page showed; None if the program has failed before it had a source.
-        new: function that returns the recordings that have appeared since the start, if this lab has started a
-            recorder. The recorder reports its directory once a second, so the newest of them is that of a lab that
-            ended before.
+        new: function that returns the recordings that have appeared since the start, if this lab records from the
+            start. The recorder reports its directory once a second, so the newest of them is that of a lab that ended
+            before.
     """
     directory = getattr(source, "directory", None) or max(new(), default=None)
     if directory is not None:

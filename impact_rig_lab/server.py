@@ -351,7 +351,7 @@ class Server:
         self._pages = 0  # number of pages that are open or about to open: a player needs a while to find its run
         self._thread = threading.Thread(target=self._run, name="lab-server", daemon=True)
         self._ready = threading.Event()
-        self._failure: OSError | UnicodeError | None = None
+        self._failure: OSError | ValueError | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
 
@@ -416,7 +416,10 @@ class Server:
             listener.setblocking(False)
             address, self.port = listener.getsockname()[:2]
             self._is_local = ipaddress.ip_address(address).is_loopback  # under any name
-        except (OSError, UnicodeError) as error:  # UnicodeError: the name has an empty or too long part
+        except (
+            OSError,
+            ValueError,
+        ) as error:  # ValueError: an empty or too long part, or a null character
             self._failure = error
             await runner.cleanup()
             return

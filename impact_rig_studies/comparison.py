@@ -163,7 +163,7 @@ def compare(
 
     Raises:
         ConfigError: the drive was not measured, or a gap or value of the configuration is invalid for the model.
-        RecordingError: no measurement settled, a reading is not finite, or the rig was reset during the run.
+        RecordingError: no measurement settled, a reading is not finite, or the rig was restarted during the run.
         BudgetError: the run has more than `SCANS` scans.
         SimulationError: the model's motion cannot be resolved.
     """
@@ -264,10 +264,10 @@ class _ModelledScans:
         self.stamps = np.concatenate(
             [table.stamp_ns + np.arange(len(table.rows)) * NS_PER_S // self.rate_hz for table in tables]
         )
-        if len(back := np.flatnonzero(np.diff(self.stamps) < 0)):
+        if any(after.stamp_ns < before.stamp_ns for before, after in itertools.pairwise(tables)):
             raise RecordingError(
-                f"{run.path}: the stamps go back after {back[0] + 1} scans, as after a reset of the rig; only a run "
-                "without a reset can be compared: record one"
+                f"{run.path}: the stamps of its scans go back, as after a restart of the rig; only a run without a "
+                "restart can be compared: record one"
             )
         self.true = np.zeros(len(measured), SCAN)
         for name in CHANNELS:

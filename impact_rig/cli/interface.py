@@ -183,7 +183,7 @@ _BREAKS: dict[str, Callable[[Any, Any, Row], bool]] = {
     "least": _reaches(-1.0),
     "most": _reaches(1.0),
     **dict.fromkeys(("least_open", "most_open", "whole"), lambda _was, now, row: bool(row["taken"] and now)),
-    "choices": lambda was, now, _: now is not None and (was is None or not set(was) <= set(now)),
+    "choices": lambda was, now, row: now is not None and (row["taken"] if was is None else not set(was) <= set(now)),
 }
 """Functions that return whether a change of a property breaks clients, by name of the property.
 

@@ -135,7 +135,7 @@ class Motion:
 
         Raises:
             ValueError: a tick is not one of this motion's, the shapes differ, no quantity has such a name, or there are
-                more than twelve names. Offsets beyond the tick are not detected.
+                more names than `QUANTITIES`. Offsets beyond the tick are not detected.
         """
         tick = np.ascontiguousarray(tick, np.int64)
         offset_s = np.ascontiguousarray(offset_s, np.float64)
@@ -167,8 +167,8 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a tick is not one of this motion's, no quantity has such a name, or there are more than twelve
-                names. Times beyond the tick are not detected.
+            ValueError: a tick is not one of this motion's, no quantity has such a name, or there are more names
+                than `QUANTITIES`. Times beyond the tick are not detected.
         """
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)

@@ -368,7 +368,8 @@ class _RigScans:
     def span_s(self) -> float:
         """Rig time from the first scan to the end of the last [s], with the gaps between them.
 
-        If stamps go back, because the rig was restarted, the durations before and after that are added.
+        If stamps go back, as after a restart of the rig or with a block out of order, the durations before and after
+        that are added.
         """
         total_ns = begin_ns = end_ns = before_ns = 0
         for number, (stamp_ns, length) in enumerate(self.blocks):

@@ -149,12 +149,15 @@ def prepare(campaign: Campaign, directory: Path, through: str) -> Store:
         through: how the jobs are measured, such as `process` or `import`, for `provenance.json`.
 
     Raises:
-        RecordingError: the directory cannot be written, or contains other files, imported points or results of another
-            rig.
+        RecordingError: the directory cannot be written, or contains other files, results of another rig, or imported
+            points to which simulated ones would be added.
     """
     refuse_other_results(directory, "campaign", campaign.base)
-    if (directory / CALIBRATION_FILE).exists():  # simulated points would be read with its calibration
-        raise RecordingError(f"{directory} has imported points, which cannot be measured: choose another --output")
+    if through != "import" and (directory / CALIBRATION_FILE).exists():  # with which simulated points would be read
+        raise RecordingError(
+            f"{directory} holds an imported campaign, to which no simulated points can be added: choose another "
+            "directory"
+        )
     store = Store(directory)
     with files.translate_errors(f"cannot write {directory}"):
         files.write_text(directory / CAMPAIGN_FILE, campaign.text)

@@ -489,7 +489,7 @@ class _Profile:
                 try:
                     motion = SettledRig(self._place(gap, theta + factor * SCALE, 0.0, self._nominal)).motion
                     off += min(abs(motion.log_ratio - math.log(ratio)) / U_FACTOR, 10.0) ** 2
-                except (SimulationError, ConfigError):  # a constant may also leave its range
+                except SimulationError:
                     off += 100.0
             misfits.append(off)
         padded = np.concatenate([[np.inf], misfits, [np.inf]])

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from operator import itemgetter
 
 _NUMBER = r"(?<![\d.,])(\d{1,9}(?:[.,pP]\d{1,9})?)"
 _FREQUENCY = re.compile(rf"(?<!\d-){_NUMBER}[\s_-]?([kK]?)[hH][zZ](?![a-z])")
@@ -47,15 +46,15 @@ def frequency_hz(stem: str) -> float | None:
     word stands between two frequencies, the higher one is the sampling rate.
     """
     found = [(one, _number(one[1]) * (1e3 if one[2] else 1.0)) for one in _FREQUENCY.finditer(stem)]
-    neighbours = [pair for pair in pairwise(found) if _BETWEEN.fullmatch(stem[pair[0][0].end() : pair[1][0].start()])]
-    higher = {max(pair, key=itemgetter(1)) for pair in neighbours}
-    lower = {one for pair in neighbours for one in pair} - higher
-    counted = (
-        (one, hz)
-        for one, hz in found
-        if not _OF_RATE.search(stem[: one.start()]) and not _IS_RATE.match(stem[one.end() :])
-    )
-    return _only({hz for _, hz in {*counted, *lower} - higher} - {0.0})
+    rates, others = set[float](), set[float]()
+    for (before, low), (after, high) in pairwise(found):
+        if _BETWEEN.fullmatch(stem[before.end() : after.start()]):
+            rates.add(max(low, high))
+            others.add(min(low, high))
+    for one, hz in found:
+        if not _OF_RATE.search(stem[: one.start()]) and not _IS_RATE.match(stem[one.end() :]):
+            others.add(hz)
+    return _only(others - rates - {0.0})
 
 
 def gap_m(stem: str) -> float | None:

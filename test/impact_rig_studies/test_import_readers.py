@@ -42,7 +42,7 @@ from impact_rig_studies.importing import file_names, headings, readers
 from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.cells import half_digit
 from impact_rig_studies.importing.conversion import convert
-from impact_rig_studies.importing.readers import delimited, labview, universal, wav
+from impact_rig_studies.importing.readers import delimited, hdf5, labview, universal, wav
 from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, SignalKind
 from impact_rig_studies.importing.uniform import likely_rate
 from impact_rig_studies.importing.units import Sensitivity, doubt, quantity, unit_factor
@@ -1002,6 +1002,14 @@ def test_frequency_and_gap_are_read_from_a_file_name(stem: str, hz: float | None
     """Numbers that contradict each other give no guess; a gap with its name is read."""
     assert file_names.frequency_hz(stem) == hz
     assert file_names.gap_m(stem) == (None if gap_m is None else pytest.approx(gap_m))
+
+
+def test_an_attribute_without_a_value_counts_as_missing(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "own.h5", "w") as file:
+        file.attrs["sample_rate"], file.attrs["empty"], file.attrs["none"] = 2.0, np.empty(0), h5py.Empty("f8")
+        found = [hdf5.attribute(file, name) for name in ("sample_rate", "empty", "none", "absent")]
+    assert found == [2.0, None, None, None]
 
 
 def test_a_recorder_that_writes_a_chunk_for_each_sample_is_read(tmp_path: Path) -> None:

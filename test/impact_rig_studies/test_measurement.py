@@ -677,7 +677,7 @@ def test_no_point_is_simulated_into_an_imported_campaign(tmp_path: Path, capsys:
     assert main(["import", *files, "--campaign", "--output", str(out)]) == 0
     kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert main(["campaign", str(out / "campaign.yaml"), "--output", str(out)]) == 1
-    assert "out has imported points, which cannot be measured: choose another" in capsys.readouterr().err
+    assert "out holds an imported campaign, to which no simulated points can be added" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == kept
 
 

@@ -219,6 +219,12 @@ def test_a_recorder_killed_within_a_second_is_not_called_identical_or_different(
     recover(path, tmp_path / "recovered")
     with open_run(tmp_path / "recovered") as run:
         assert str(verify(run)).startswith("not verifiable: its recorder ended so early that inputs")
+    path = record(tmp_path / "silent", [one for one in lacking if one[0] != "rig/journal"])
+    (file,) = path.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:-20])
+    recover(path, tmp_path / "silent_recovered")
+    with open_run(tmp_path / "silent_recovered") as run:
+        assert "rig/journal" in str(verify(run)), "the missing journal is the reason that helps"
 
 
 def reset_rig() -> tuple[Messages, Messages, Messages]:
