@@ -830,6 +830,8 @@ class Board:
             if clocked:
                 rates[key] = min(clocked, key=lambda one: (one is not task, not one.is_active)).rate_hz
         config = self._config_for(rates)
+        if self._fixed is not None:  # its configuration can have a new rate that counts only from a reset on
+            return self._fixed
         wanted = (config.daq.rate_hz, config.drive.stream_rate_hz)
         if self._rig is not None and wanted == (self._rig.rate_hz, self._rig.stream_rate_hz):
             return self._rig

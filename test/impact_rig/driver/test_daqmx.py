@@ -584,6 +584,16 @@ def test_a_running_rig_without_an_output_is_rejected_at_each_start(
             assert not task.is_active
 
 
+def test_a_task_uses_the_running_rig_even_if_a_new_rate_waits_for_a_reset() -> None:
+    rig = LocalRig({**IDEAL, "drive.waveform": "stream", "drive.stream_wait": False})
+    rig.configure({"drive.stream_rate_hz": 4000})
+    board = Board(RigConfig(), rig)
+    with contextlib.closing(board), board.changed:
+        task = add_output(board, 10_000, 100)
+        board.write(task, WAVE[:100], 1.0, lambda: True, auto_start=True)
+        assert rig.stream_level().buffered == 100
+
+
 @pytest.mark.parametrize("buffer", [None, 100])
 def test_a_repeated_buffer_is_overwritten_from_its_beginning(buffer: int | None) -> None:
     """A buffer written again after its end begins with its first sample; a full one with its oldest."""
