@@ -250,8 +250,7 @@ class Acquisition:
 
     Args:
         rig: rig to read; calls drop the tables that it keeps, except calibrations, commands and journal.
-        buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost. A `read` that waits for
-            more scans makes the buffer larger.
+        buffer_s: duration of the scans that are kept for the reader [s]; older scans are lost.
 
     Attributes:
         next_scan: number of the next scan to be read; None until the first one is known.
@@ -266,6 +265,7 @@ class Acquisition:
         self.lost = 0
         self._end = 0  # number of the scan after the last one that arrived
         self._started = False
+        self._is_waiting = False  # whether a `read` waits; no scan that arrives meanwhile is lost
 
     @property
     def available(self) -> int:
@@ -321,16 +321,18 @@ class Acquisition:
             TimeoutError: no scan arrived within `timeout_s`, also if the rig lacked samples of the output.
             CommandError: the shaker was stopped, so the rig did not advance.
         """
-        if not self._started and self.available < count:
+        if self.available < count and not self._started:
             self.start(self.next_scan)
-        if self.available < count:  # whole blocks arrive, and none of these scans may be overwritten meanwhile
-            self._most = max(self._most, count + self._rig.block_scans)
         deadline, before = time.monotonic() + timeout_s, self._end
-        while self.available < count:
-            _advance(self._rig, deadline, f"{count} scans")
-            if self._end > before:
-                deadline, before = time.monotonic() + timeout_s, self._end
-        return self._cut(count)
+        self._is_waiting = True
+        try:
+            while self.available < count:
+                _advance(self._rig, deadline, f"{count} scans")
+                if self._end > before:
+                    deadline, before = time.monotonic() + timeout_s, self._end
+            return self._cut(count)
+        finally:
+            self._is_waiting = False
 
     def read_remaining(self) -> NDArray[np.void]:
         """Return the scans that have arrived and have not been read, without waiting."""
@@ -345,7 +347,7 @@ class Acquisition:
         self.lost += max(0, first - self._end)
         self._end = first + len(rows)
         self._kept.append((first, rows))
-        while self._end - self.next_scan > self._most:
+        while self._end - self.next_scan > self._most and not self._is_waiting:
             oldest, overwritten = self._kept.popleft()
             self.lost += min(len(overwritten), oldest + len(overwritten) - self.next_scan)
             self.next_scan = self._kept[0][0]

@@ -343,6 +343,23 @@ def test_any_number_of_scans_can_be_read_at_once(count: int) -> None:
     assert acquisition.lost == 0
 
 
+class Backlog(LocalRig):
+    """Rig that runs by itself, of which several blocks arrive at once."""
+
+    runs_by_itself = True
+
+    def poll(self) -> None:
+        self.step(5)
+
+
+def test_no_scan_is_lost_while_a_read_waits() -> None:
+    acquisition = Acquisition(Backlog(LINEAR), buffer_s=3 * BLOCK / RATE_HZ)
+    acquisition.start(0)
+    assert len(acquisition.read(6 * BLOCK)) == 6 * BLOCK
+    assert acquisition.lost == 2 * BLOCK  # those of five blocks that arrived before the wait
+    assert acquisition.available == 3 * BLOCK  # the buffer keeps its size
+
+
 def test_new_rates_of_a_stream_count_from_the_next_reset() -> None:
     rig = LocalRig({**STREAM, "drive.stream_wait": False})
     rig.configure({"drive.stream_rate_hz": 4000})
