@@ -518,7 +518,7 @@ class RosRig(RigDriver):
         planned = [*self.config.instruments.faults.planned, line]
         self.configure({"instruments.faults.planned": planned})
         self._injected.append((line, fault))
-        return len(planned)
+        return sum(bool(one.split()) for one in planned)  # no fault on an empty line
 
     @property
     def faults(self) -> list[Fault]:
@@ -579,7 +579,7 @@ class RosRig(RigDriver):
     @property
     def stream_rate_hz(self) -> int:
         """Samples per second of the stream that drives the rig; a new `drive.stream_rate_hz` counts from a reset on."""
-        state = self._stream.last() if self._stream else None
+        state = self._stream.last() if self._stream and self.config.drive.waveform == "stream" else None
         return super().stream_rate_hz if state is None else int(state.rows["rate"][0])
 
     def _published_states(self) -> Collector:

@@ -231,7 +231,7 @@ def test_a_rig_in_lockstep_is_joined_at_its_present_scan(tmp_path: Path, monkeyp
 
 def test_empty_lines_of_planned_faults_are_no_faults() -> None:
     with RosRig({**LINEAR, "instruments.faults.planned": [" ", LOST.line(10_000)]}, hosted=True) as rig:
-        rig.inject(fault := Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3))
+        assert rig.inject(fault := Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)) == 2
         assert rig.faults == [LOST, fault]
 
 
@@ -241,6 +241,9 @@ def test_a_new_rate_of_a_stream_counts_from_the_next_reset() -> None:
         assert rig.stream_rate_hz == 10_000
         rig.client.trigger("rig/reset")
         rig.client.wait_until(lambda: rig.stream_rate_hz == 5000, "the new rate")
+        rig.configure({"drive.waveform": "sine", "drive.stream_rate_hz": 4000})
+        rig.client.trigger("rig/reset")
+        assert rig.stream_rate_hz == 4000
 
 
 def test_a_node_without_a_subscription_cannot_be_in_lockstep(rig: RosRig) -> None:
