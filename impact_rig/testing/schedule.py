@@ -204,13 +204,15 @@ class LocalRigWithNodes(LocalRig):
         try:
             with as_default(self._context), self._running(hosted, f"{make_node.__name__}()"):
                 hosted.node = make_node(**kwargs)
+            if not hosted.node.get_parameter("use_sim_time").value:
+                hosted.node.set_parameters([Parameter("use_sim_time", value=True)])
+            self._find_entities()
         except BaseException:
             self._hosted.remove(hosted)
+            if hosted.node is not None:
+                hosted.node.destroy_node()
             raise
-        if not hosted.node.get_parameter("use_sim_time").value:
-            hosted.node.set_parameters([Parameter("use_sim_time", value=True)])
         self._stack.callback(hosted.node.destroy_node)
-        self._find_entities()
         return hosted.node
 
     def listen(self, topic: str) -> Collector:
