@@ -477,19 +477,11 @@ class ManagedNode(LifecycleNode, Generic[S]):
         reason = name.removeprefix("~/")
 
         def answer(request: Any, sent_ns: int, send: Callable[[Any], None]) -> None:
-            is_answered = False
-
-            def respond(success: bool, message: str) -> None:
-                nonlocal is_answered
-                if not is_answered:  # `on_request` may raise after it has called `done` or kept it for later
-                    is_answered = True
-                    send(service_type.Response(success=success, message=message))
-
             def done(success: bool, message: str) -> None:
                 message = one_line(message)
                 if not success:
                     self.refuse(reason, message)
-                respond(success, message)
+                send(service_type.Response(success=success, message=message))
 
             try:
                 if check_sent is not None:
@@ -500,7 +492,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
             except Exception as error:  # no exception caused by a request may end the process
                 message = one_line(describe(error))
                 self.report_failure(reason, message)
-                respond(False, message)
+                send(service_type.Response(success=False, message=message))
             self.report_change()
 
         LateService(self, service_type, name, answer)
@@ -791,8 +783,8 @@ class LateService:
 
     Args:
         on_request: called with each request, the system time at which it was sent [ns], and a function that sends its
-            response, to be called once. `on_request` must not raise. If the middleware gives no time of sending, the
-            time is that of receipt.
+            response; only its first call sends one. `on_request` must not raise. If the middleware gives no time of
+            sending, the time is that of receipt.
     """
 
     def __init__(
@@ -815,4 +807,12 @@ class LateService:
 
     def _begin(self, _marker: Any, header: Any) -> None:
         sent_ns = getattr(header, "source_timestamp", 0) or time.time_ns()  # some middleware does not provide it
-        self._on_request(self._request, sent_ns, lambda response: self._send(response, header))
+        is_answered = False
+
+        def send(response: Any) -> None:
+            nonlocal is_answered
+            if not is_answered:  # a handler may raise, which is answered, too, after it has answered or promised to
+                is_answered = True
+                self._send(response, header)
+
+        self._on_request(self._request, sent_ns, send)
