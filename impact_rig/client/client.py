@@ -386,6 +386,7 @@ class Client:
         self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics)
         self.applied: Collector = Collector(topics.APPLIED)
         """Changes of the drive that the rig has applied (`shaker/applied`); it stays empty without `commands`."""
+        self._has_commands = commands
         if commands:
             self.subscribe(topics.APPLIED, self.applied.take, raw=True)
 
@@ -578,7 +579,10 @@ class Client:
                 it rejected only the current, the new frequency stays applied.
             TimeoutError: the rig neither applied nor rejected it in time.
             GoneError: the rig that received it is gone.
+            ValueError: the client was made with `commands=False`.
         """
+        if not self._has_commands:
+            raise ValueError("a client made with commands=False cannot command the drive: omit commands=False")
         row: np.void | None = None
         for topic, column, value in (
             (topics.FREQUENCY, "frequency", frequency_hz),

@@ -136,12 +136,13 @@ class Fault:
         texts = dict(pair.partition("=")[::2] for pair in pairs)
         channel = texts.pop("channel", "")
         values = {key: _number(line, key, text) for key, text in texts.items()}
+        duration_s = values.get("duration_s", 0.0)
         try:
             return cls(
                 kind=kind,
                 channel=channel,
                 start_sample=_scans(values.get("start_s", 0.0), scan_rate_hz),
-                samples=_scans(values.get("duration_s", 0.0), scan_rate_hz),
+                samples=max(_scans(duration_s, scan_rate_hz), int(duration_s > 0.0)),  # 0 means without end
                 value=values.get("value", 0.0),
                 seed=int(values.get("seed", 0.0)),
                 rate_hz=values.get("rate_hz", DEFAULT_SPIKE_RATE_HZ),
@@ -211,8 +212,8 @@ def _number(line: str, key: str, text: str) -> float:
         number = float(text)
     except ValueError as error:
         raise ConfigError(f"{key} of a fault must be a number, got {text!r} in {line!r}") from error
-    if not math.isfinite(number) or (key != "value" and number < 0):
-        rule = "finite" if key == "value" else "finite and >= 0"
+    if not math.isfinite(number) or (key != "value" and number < 0) or (key == "seed" and not number.is_integer()):
+        rule = {"value": "finite", "seed": "an integer >= 0"}.get(key, "finite and >= 0")
         raise ConfigError(f"{key} of a fault must be {rule}, got {text} in {line!r}")
     return number
 

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import Any  # messages of a package that may be absent
 
 from impact_rig import __version__
-from impact_rig.errors import CommandError, describe
+from impact_rig.errors import CommandError, ConfigError, describe
 from impact_rig.graph import SIMULATION_PACKAGE, SIMULATION_SERVICES
 from impact_rig.nodes.managed import Done, LateService
 from impact_rig.nodes.session import Session
@@ -76,7 +76,7 @@ class StandardServices:
                 if not name.startswith("get_"):
                     self._session.refuse_backlog(sent_ns)
                 handle(request, response, tell)
-            except CommandError as error:
+            except (CommandError, ConfigError) as error:
                 tell(codes.RESULT_OPERATION_FAILED, str(error))
             except Exception as error:  # no exception caused by a request may end the process
                 self._node.report_failure(name, describe(error))
@@ -147,7 +147,7 @@ class StandardServices:
         try:
             if success:
                 self._reset_rig(stop=True)
-        except CommandError as error:
+        except (CommandError, ConfigError) as error:
             success, message = False, str(error)
         done(success, message)
 

@@ -94,3 +94,12 @@ def test_a_request_that_must_not_be_repeated_is_sent_once(client: Client, serve:
     assert service.requests == 1
     client.call(Trigger, "rig/pluck", Trigger.Request(), repeatable=True)
     assert service.requests == 2
+
+
+def test_a_client_without_commands_rejects_them() -> None:
+    with (
+        isolated_domain() as domain_id,
+        Client(domain_id, commands=False) as client,
+        pytest.raises(ValueError, match="commands=False"),
+    ):
+        client.command(current_a=0.1)

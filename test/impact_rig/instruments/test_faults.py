@@ -246,12 +246,17 @@ def test_the_configuration_contains_the_planned_faults():
         ("stuck channel=laser start_s=soon", r"start_s of a fault must be a number, got 'soon'"),
         ("stuck channel=laser start_s=1e300", r"must be at most 2\*\*53, got 1\.0+\d*e\+300, in 'stuck .*1e300'$"),
         ("stuck channel=laser duration_s=-1", r"duration_s of a fault must be finite and >= 0, got -1"),
-        ("stuck channel=laser seed=inf", r"seed of a fault must be finite and >= 0, got inf"),
+        ("stuck channel=laser seed=inf", r"seed of a fault must be an integer >= 0, got inf"),
+        ("stuck channel=laser seed=1.7", r"seed of a fault must be an integer >= 0, got 1.7"),
     ],
 )
 def test_an_invalid_planned_fault_is_rejected_by_name(line, message):
     with pytest.raises(ConfigError, match=message):
         from_flat(RigConfig(), {"instruments.faults.planned": [line]})
+
+
+def test_a_fault_shorter_than_a_scan_ends_after_one():
+    assert Fault.from_line("stuck channel=laser duration_s=1e-11", 10_000).samples == 1
 
 
 def test_a_time_whose_number_of_scans_overflows_is_rejected():

@@ -300,6 +300,20 @@ def test_a_pause_is_answered_when_the_peers_have_acknowledged(user: User) -> Non
     assert answers[0].result.result == Result.RESULT_OK
 
 
+def test_a_stop_whose_reset_is_impossible_is_answered_with_the_reason(user: User) -> None:
+    client = user.client
+    host_rig(client, "free_running", time__peers=["client"], drive__amplitude=0.5)
+    scans = client.collect("daq/scan")
+    client.wait_active("rig")
+    client.wait_until(lambda: len(scans) > 3, "blocks without an acknowledgement")
+    client.set_parameters("rig", {"shaker.current_limit_a_rms": 0.1})
+    answers = user.begin("set_simulation_state", SetRequest(SimulationState(STOPPED)))
+    client.acknowledge_for("client", scans.tables()[-1].stamp_ns)
+    client.wait_until(lambda: answers, "the answer")
+    assert answers[0].result.result == SetResponse.STATE_TRANSITION_ERROR
+    assert "drive.amplitude" in answers[0].result.error_message
+
+
 def test_a_rig_that_is_asked_to_quit_reports_it(user: User) -> None:
     node = host_rig(user.client)
     assert user.set(QUITTING) == (Result.RESULT_OK, "")
