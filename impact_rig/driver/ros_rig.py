@@ -513,6 +513,11 @@ class RosRig(RigDriver):
             CommandError: the scan has been measured already.
             ConfigError: the node rejected the fault.
         """
+        if fault.start_sample < self.frontier_sample:
+            raise CommandError(
+                f"start_sample of a fault must be >= {self.frontier_sample}, the first scan not yet measured, "
+                f"got {fault.start_sample}"
+            )
         since = attrs.evolve(fault, start_sample=fault.start_sample - self.frontier_sample)
         line = since.line(self.rate_hz)
         planned = [*self.config.instruments.faults.planned, line]
@@ -527,10 +532,13 @@ class RosRig(RigDriver):
         `start_sample` of an injected fault is the scan number given to `inject`, counted from scan 0. The node's
         parameter instead states the start relative to the moment of injection.
         """
-        injected = {line for line, _ in self._injected}
-        lines = (line for line in self.config.instruments.faults.planned if line.split())  # no fault on an empty one
-        planned = zip(lines, super().faults, strict=True)
-        return [fault for line, fault in planned if line not in injected] + [fault for _, fault in self._injected]
+        lines = [line for line in self.config.instruments.faults.planned if line.split()]  # no fault on an empty one
+        planned = list(zip(lines, super().faults, strict=True))
+        for line, _ in self._injected:
+            if line in lines:  # a line may occur several times: the last of them were injected
+                last = len(lines) - 1 - lines[::-1].index(line)
+                del lines[last], planned[last]
+        return [fault for _, fault in planned] + [fault for _, fault in self._injected]
 
     def poll(self) -> None:
         """Process the messages that have arrived, without waiting or checking whether the nodes still run."""
@@ -631,7 +639,6 @@ class RosRig(RigDriver):
         for subscription in set(self.client.node.subscriptions) - subscriptions:
             self.client.node.destroy_subscription(subscription)
         self._peers = [peer for peer in self._peers if peer in peers]
-        self._injected.clear()
         self.scenario = ""
         before, record = self._run, None
         if self._records_temporarily:
@@ -691,6 +698,7 @@ class RosRig(RigDriver):
                 self._connect_stream()
             else:
                 client.wait_until(self._stream.last, topics.STREAM.name)
+        self._injected.clear()
         self._sent_to = 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import attrs
 import numpy as np
 import pytest
 
@@ -233,6 +234,13 @@ def test_empty_lines_of_planned_faults_are_no_faults() -> None:
     with RosRig({**LINEAR, "instruments.faults.planned": [" ", LOST.line(10_000)]}, hosted=True) as rig:
         assert rig.inject(fault := Fault(kind="offset_step", channel="laser", start_sample=1200, value=1e-3)) == 2
         assert rig.faults == [LOST, fault]
+        assert rig.inject(LOST) == 3
+        assert rig.faults == [LOST, fault, LOST], "the same fault, planned and injected"
+        rig.step(1)
+        with pytest.raises(CommandError, match="must be >= 100, the first scan not yet measured, got 50"):
+            rig.inject(attrs.evolve(LOST, start_sample=50))
+        rig.restart(RigConfig(), {})
+        assert rig.faults == []
 
 
 def test_a_new_rate_of_a_stream_counts_from_the_next_reset() -> None:
