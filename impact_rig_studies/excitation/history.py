@@ -320,7 +320,7 @@ def _identify(
     """
     rate_hz = hardware.rig.stream_rate_hz
     low_hz, high_hz = max(0.5 * plan.low_hz, 0.5 * rate_hz / length), min(ABOVE * plan.high_hz, 0.49 * rate_hz)
-    if not (low_hz < high_hz and plan.low_hz < plan.high_hz):
+    if not (low_hz < high_hz and plan.low_hz < min(plan.high_hz, 0.5 * rate_hz)):
         raise ConfigError(
             f"low_hz must be below both high_hz and {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
             f"{plan.low_hz:g} and high_hz = {plan.high_hz:g}"

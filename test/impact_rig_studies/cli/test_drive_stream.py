@@ -205,11 +205,16 @@ def test_insufficient_data_yield_a_message_instead_of_a_number(tmp_path, capsys,
             ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "narrow.yaml"),
             "half of the sample rate, got low_hz = 40 and high_hz = 30",
         ),
+        (
+            ("drive", "replicate", "drive.csv", "--signal", "current", "--plan", "fast.yaml"),
+            "half of the sample rate, got low_hz = 1100 and high_hz = 1200",
+        ),
     ],
 )
 def test_an_unplayable_signal_is_rejected_before_the_rig_runs(tmp_path, capsys, words, says):
     (tmp_path / "drive.csv").write_text("time,current\n0,0\n0.001,0.1\n0.002,0\n")
     (tmp_path / "band.yaml").write_text("low_hz: 100\nhigh_hz: 30")
+    (tmp_path / "fast.yaml").write_text("low_hz: 1100\nhigh_hz: 1200")
     (tmp_path / "narrow.yaml").write_text("low_hz: 40\nhigh_hz: 30")
     words = [tmp_path / word if word.endswith((".csv", ".yaml")) else word for word in words]
     assert run(*words, "--output", tmp_path / "run") == 1
