@@ -67,7 +67,7 @@ class Column:
 
     @property
     def is_bounded(self) -> bool:
-        """Return whether the column's numbers are restricted, by a bound or to integers."""
+        """Return whether `least`, `most` or `whole` restricts the column's numbers."""
         return self.whole or self.least > -math.inf or self.most < math.inf
 
     def allowed(self) -> str:
@@ -84,7 +84,7 @@ def time(doc: str) -> Column:
 
 
 def index(name: str, doc: str) -> Column:
-    """Return a column of whole numbers from 0 to 2**53, such as the index of a scan."""
+    """Return a column of whole numbers from 0 to 2**53, stored as 64-bit floats, such as the index of a scan."""
     return Column(name, "-", doc, least=0.0, most=LARGEST_INDEX, whole=True)
 
 

@@ -201,7 +201,8 @@ def checked(table: Table, topic: Topic, needs: tuple[str, ...] = ()) -> Table:
         if row < len(rows):
             value = rows[column.name][row].item()
             raise CodecError(
-                f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}, counted from 0"
+                f"{topic.name}: {column.name} must be {column.allowed()}, got {value!r} in row {row}, counted from 0, "
+                "of the decoded table"
             )
     for column in plan.texts:
         _refuse_texts(rows[column.name], column, topic)
@@ -296,7 +297,8 @@ def _refuse_texts(values: NDArray[np.generic], column: Column, topic: Topic) -> 
             raw.decode()
         except UnicodeDecodeError:
             raise CodecError(
-                f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row}, counted from 0"
+                f"{topic.name}: {column.name} must be UTF-8, got {raw!r} in row {row}, counted from 0, of the "
+                "decoded table"
             ) from None
 
 
@@ -595,7 +597,11 @@ def _constant_parts(dtype: np.dtype[np.void], frame_id: str) -> tuple[bytes, byt
 
 
 def _datatype(name: str, column: np.dtype[np.generic]) -> tuple[int, int]:
-    """Return the members `datatype` and `count` of the `sensor_msgs/PointField` that describes a column."""
+    """Return the members `datatype` and `count` of the `sensor_msgs/PointField` that describes a column.
+
+    Raises:
+        CodecError: there is no such PointField for the column's type; the message contains `name`.
+    """
     if column == _TEXT_DTYPE:
         return _UINT8, _TEXT_DTYPE.itemsize
     if column not in _DATATYPE_OF:

@@ -195,7 +195,7 @@ class Drawn:
     """Drawing with its caption and numbers, ready for an HTML page and for files.
 
     Args:
-        name: name of the drawing, any text; its file names are derived from it.
+        name: name of the drawing, any text; `names.file_name` makes its file names from it.
         figure: matplotlib figure; its texts are changed at once, as by `plain_texts`.
         caption: sentence(s) below the drawing, which also serve as alternative text.
         lines: numbers that the drawing shows, for its CSV file.

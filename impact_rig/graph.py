@@ -107,8 +107,8 @@ class Input:
         type_name: ROS interface; empty for a topic, whose type is in `impact_rig.topics`.
         node: node that accepts it.
         doc: its effect.
-        taken: situations in which the node accepts it; in all others the node rejects it with a message, and counts
-            the rejection.
+        taken: values of `Situation` in which the node accepts it; in all others the node rejects it with a message,
+            and counts the rejection.
     """
 
     name: str

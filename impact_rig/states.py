@@ -197,7 +197,7 @@ class Regime(Word):
 
 
 class Method(enum.StrEnum):
-    """Method by which the uncertainty of a row of `transmissibility/table` was found."""
+    """Method by which the uncertainty of a row of `transmissibility/table` was found: GUM, batch means or none."""
 
     GUM = "gum"  # combination of noise and calibration
     BATCH_MEANS = "batch_means"  # for a response that is not periodic; combined with the calibration

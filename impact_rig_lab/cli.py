@@ -137,9 +137,9 @@ def run(arguments: argparse.Namespace) -> int:
     Ctrl-C raises an exception.
 
     Raises:
-        ImpactRigError: options contradict each other or are invalid, a run or branch cannot be read, a package is
-            missing, the namespace is in use, recordings cannot be written, or the server cannot be started. A
-            node that cannot be started is no error here; the page shows it.
+        ImpactRigError: options contradict each other or are invalid, a run or a folder of `--branches` cannot be read,
+            a package is missing, the namespace is in use, recordings cannot be written, or the server cannot be
+            started. A node that cannot be started is no error here; the page shows it.
     """
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if len(arguments.runs) > 2:

@@ -110,7 +110,7 @@ class OwnedProcesses:
 
     Args:
         processes: the processes (`Processes`).
-        parameters: ROS parameters of each node, by node and name.
+        parameters: ROS parameters of each node at every start, by node and name.
     """
 
     def __init__(self, processes: Any, parameters: Mapping[str, Mapping[str, Any]]) -> None:
@@ -153,7 +153,7 @@ class OwnedProcesses:
 
 @attrs.define(eq=False)
 class _Running:
-    """Action in progress, which a page has requested."""
+    """Request of a page that is being carried out."""
 
     answer: Answer  # function that reports the result to the page
     instance: str | None  # activation of the rig for which it was requested; None if it is one of `FREE`
@@ -361,7 +361,7 @@ class Gateway:
         deadline = time.monotonic() + timeout_s
         while not (found := check()):
             if time.monotonic() > deadline:
-                raise Refused(f"timeout after {timeout_s:g} s: waiting for {what}")
+                raise Refused(f"timeout after {timeout_s:g} s of wall time: waiting for {what}")
             await asyncio.sleep(0)
         return found
 
@@ -569,8 +569,9 @@ class Gateway:
         If the node that runs it is absent, a lab that has started the rig starts this node first.
 
         Args:
-            frequencies: frequencies of the points [Hz]; a phase lock uses only the first, to begin its search.
-            direction: up, down or up_down.
+            frequencies: frequencies of the points [Hz], in any order; a phase lock uses only the lowest, or the
+                highest with the direction down, to begin its search.
+            direction: order of the points: up, down or up_down.
             hold: quantity that is kept constant: command, current, base or superior; phase means a phase lock.
             target: peak amplitude to which current, base or superior is controlled [A or m]; ignored for the others.
 
@@ -643,13 +644,13 @@ class Gateway:
         """Recover the last recording of a recorder that has died, into a directory of its own next to the recording.
 
         Raises:
-            Refused: the recorder is running, or no recording is known.
+            Refused: the recorder has not died, or no recording is known.
             RecordingError: nothing can be recovered, or the directory contains a recording already.
         """
         recorder = self.seen("recorder")
         directory = recorder.figures.get("directory", "")
         if recorder.lives:
-            raise Refused("the recorder is running, so there is nothing to recover")
+            raise Refused("the recorder has not died, so its recording needs no recovery")
         if not directory:
             raise Refused(
                 "the recorder has reported no recording, so there is nothing to recover here; recover an older one "
@@ -662,7 +663,8 @@ class Gateway:
     async def do_restart(self) -> str:
         """Restart those nodes of this lab whose processes have ended, and label the analysis with the gap of the rig.
 
-        A restarted rig is at rest and has its initial configuration.
+        A restarted rig is at rest and has its initial configuration. A restarted recorder starts a new recording,
+        unless the lab was started with `--no-record`.
 
         Raises:
             Refused: the lab did not start the rig, no process has ended, or a node does not report within `START_S`.

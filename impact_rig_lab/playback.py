@@ -179,13 +179,15 @@ class RunPlayer:
     # Playing
 
     def jump(self, page_s: float) -> None:
-        """Move to another time: refill the ring buffers with the scans and motion of the seconds before it.
+        """Move to another time: refill the ring buffers with the scans and motion of `LONGEST_S` + 0.5 s before it.
+
+        At high scan rates, that time is shorter: about `MOST_FILLED` scans.
 
         `play` continues from there.
 
         Args:
             page_s: the time of the page [s]. Before the run the ring buffers stay empty; after it they show its end, or
-                nothing if its end is longer ago than the buffers last.
+                nothing if the run ended before that time span.
         """
         self._quiet.clear()
         try:
@@ -269,6 +271,7 @@ class RunPlayer:
         """Return the state of the rig at a time of the page [s since scan 0 of the first run].
 
         It results from the changes that have been read so far; a later time gives the last state that was read.
+        Before the first change, the parameters have their default values, and the drive is at rest.
         """
         at_ns = self.instant_ns(page_s)
         view, change = self.record.journal.at(at_ns)

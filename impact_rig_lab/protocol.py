@@ -88,7 +88,10 @@ Check = Callable[[str, object], Any]
 
 
 def number(low: float = -math.inf, high: float = math.inf) -> Check:
-    """Return a `Check` that a value of a request is a finite number in [low, high]; it returns it as a float."""
+    """Return a `Check` that returns a finite number in [low, high] as a float.
+
+    For any other value, also true and false, it raises a RequestError.
+    """
 
     def check(name: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -288,7 +291,8 @@ def rows_frame(kind: FrameKind, number: int, rows: NDArray[np.float64]) -> bytes
 
     Args:
         kind: MOTION, IMPACTS or DETECTED.
-        number: epoch of the record (`RigView.epoch`); a page that receives another epoch than before drops its rows.
+        number: epoch of the record (`RigView.epoch`); a page that receives another epoch than before drops the rows
+            that it has, and shows the new ones.
         rows: rows, shape (number of rows, number of columns).
     """
     return _HEAD.pack(kind, number & 0xFFFFFFFF) + _ROWS.pack(*rows.shape) + rows.astype("<f8").tobytes()
@@ -298,7 +302,7 @@ def spectrum_frame(number: int, resolution_hz: float, amplitudes: NDArray[np.flo
     """Return a frame with the amplitude spectrum of a channel.
 
     Args:
-        number: epoch of the record (`RigView.epoch`).
+        number: epoch of the record, as in `rows_frame`.
         resolution_hz: distance between two lines of the spectrum.
         amplitudes: peak amplitudes of the lines from 0 Hz on, in the unit of the channel.
         channel: index of the channel in `CHANNELS`.

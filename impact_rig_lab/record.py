@@ -92,7 +92,7 @@ def fault_unit(kind: str, channel: str) -> str:
 
 
 def amount(value: float, unit: str) -> str:
-    """Return a value of the rig as text for the page, with its unit; lengths are shown in mm.
+    """Return a value of the rig as text for the page, with its unit: lengths in mm, NaN as "nan".
 
     Args:
         value: the value in `unit`.
@@ -243,6 +243,9 @@ class RigHistory:
 
     def part(self, start_ns: int) -> list[list[Any]]:
         """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
+
+        Kind, key and text are, for example, "parameter", the name and the value; "fault", "begins" and which fault;
+        or "note", "" and the remark.
 
         If nothing is new, the result is the same object as before.
 
@@ -589,8 +592,8 @@ class RigView:
     def _change(self, at_ns: int | None = None) -> tuple[int, dict[str, float]] | None:
         """Return rig time [ns] and values of the newest change of the drive, or of the last one up to a rig time [ns].
 
-        Returns None if there is no such change. If `at_ns` is None, only changes of the present rig count; otherwise
-        those of all rigs.
+        The values have the keys of `drive`. Returns None if there is no such change. If `at_ns` is None, only changes
+        of the present rig count; otherwise those of all rigs.
         """
         if at_ns is not None:
             return next((one for one in reversed(list(self.applied)) if one[0] <= at_ns), None)

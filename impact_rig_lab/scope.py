@@ -189,7 +189,7 @@ class Scope:
         Samples for times up to the newest scan are dropped.
 
         Args:
-            table: table of `shaker/waveform`.
+            table: table of `shaker/waveform` of a rig whose `drive.kind` is `current`.
             rate_hz: samples of the stream per second; the samples are interpolated at the times of the scans.
             start_ns: stamp of scan 0.
         """
@@ -280,7 +280,7 @@ class Scope:
         Args:
             level: level to read.
             begin: index of the first pair. Its group of scans may begin before the window, by less than a group.
-            count: number of pairs in the window.
+            count: number of pairs in the window; the newest ones that do not fill a column are left out.
             step: number of pairs in a column.
             crossing: index of the scan of the trigger, or NaN.
         """

@@ -298,7 +298,7 @@ class _Counting(logging.Handler):
     Such messages report invalid HTTP requests, and connections that end in the middle of a request.
 
     Args:
-        counts: counts by reason, to which it adds.
+        counts: counts by reason, to which it adds: `Server.refused`, which no page shows.
     """
 
     def __init__(self, counts: Counter[str]) -> None:

@@ -147,7 +147,8 @@ def judge(rig: Seen, analysis: Seen, doubts: Sequence[str] = ()) -> tuple[str, s
     """Summarise the state of a live rig and its measurement in one word and one sentence for the page.
 
     The word is `measured` only if the analysis reports a measurement that applies to the present drive, and there are
-    no doubts about it.
+    no doubts about it. Otherwise it is `settling` or `driving` if the rig is driven, else the state of the rig
+    (`RigWord`, with spaces), `starting`, `dead` or `unknown`.
 
     Args:
         rig: last report of the rig.
@@ -333,7 +334,7 @@ class Snapshot:
         self.version = 0
 
     def put(self, **parts: Any) -> None:
-        """Set parts by name, all at once: a session that reads meanwhile gets all new parts or none of them.
+        """Set parts by any names, all at once: a session that reads meanwhile gets all new parts or none of them.
 
         A part that equals the present one does not count as a change.
         """

@@ -113,7 +113,7 @@ class ComparedPoint:
 
 
 def _less(one: np.void, other: np.void, column: str) -> float:
-    """Return a column of the row `one` minus that of the row `other`; phases are wrapped into −π … π [rad]."""
+    """Return a column of the row `one` minus that of the row `other`; `phase` is wrapped into −π … π [rad]."""
     difference = float(one[column] - other[column])
     return math.remainder(difference, 2.0 * math.pi) if column == "phase" else difference
 
@@ -252,8 +252,9 @@ class _ModelledScans:
     """All scans of a run (`true`), and the scans of the model (`model`) at the same times.
 
     In `true`, laser, base and current are corrected for the lag and skew of their sensors, the accelerometer is not.
-    The scans are simulated in stretches, which end where scans are missing or the label of the gap changes. `model` is
-    zero in a stretch that has not been simulated yet.
+    Laser and base are displacements [m], whatever their sensors measure. The scans are simulated in stretches, which
+    end where scans are missing or the label of the gap changes. `model` is zero in a stretch that has not been
+    simulated yet.
     """
 
     def __init__(self, run: Run, calibration: Calibration) -> None:
@@ -302,7 +303,8 @@ class _ModelledScans:
         """Return the table that replaces a measured one in the analysis, so that the model is measured.
 
         A table of `daq/info` is replaced by a calibration without any error, a table of `daq/scan` by the model's scans
-        at the same times. No other topic is allowed. The tables of `daq/scan` must be passed in the order of the run.
+        at the same times. Other topics must not be passed (not checked). The tables of `daq/scan` must be passed in
+        the order of the run.
         """
         if topic is topics.INFO:
             rows = table.rows.copy()
@@ -320,7 +322,7 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return the slice of `true` and `model` with the scans of an excerpt, and fill their column `time`.
+        """Return where the scans of an excerpt are in `true` and `model`, and fill the column `time` of both.
 
         The time is in seconds since the first scan of the run.
         """
@@ -471,10 +473,10 @@ def _missing(rows: NDArray[np.void], known: RigConfig) -> tuple[str, ...]:
 
 
 def _constants(rows: NDArray[np.void], gains: Gains, known: RigConfig, on_step: Callable[[str], None]) -> Identified:
-    """Fit the constants of the rig to DT without the sphere, and to the sphere's reductions of DT at one frequency.
+    """Fit the constants jointly to DT without the sphere and the sphere's reductions of DT at one frequency.
 
     Of the frequencies measured without the sphere, this is the one with the most gaps. Rows without a measured current
-    are left out.
+    are left out. `gains` are the uncertainties of the sensors' calibration.
     """
     points = [
         Point(

@@ -394,7 +394,10 @@ def parse_drop(remark: str) -> DropHeights | None:
 
 @attrs.frozen(kw_only=True)
 class DropTest:
-    """Mean coefficient of restitution of `drops` drops, with its standard uncertainty; NaN if `status` is not `ok`."""
+    """Mean coefficient of restitution of `drops` drops, with its standard uncertainty.
+
+    Both are NaN if `status` is not `ok`, because of an invalid height or uncertainty; one drop is enough for `ok`.
+    """
 
     status: Status
     restitution: float = math.nan

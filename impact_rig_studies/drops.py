@@ -27,6 +27,8 @@ from impact_rig_studies.decay import DropHeights, DropTest, parse_drop, restitut
 def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
     """Return the drops noted in the remarks of a run, and the mean coefficient of restitution from their heights.
 
+    `decay.parse_drop` states the form of such a remark.
+
     Args:
         run: an open run.
         u_m: standard uncertainty of each height [m].
@@ -45,6 +47,6 @@ def drops_of(run: Run, u_m: float) -> tuple[list[DropHeights], DropTest]:
         raise RecordingError(
             f"{run.path}: the drops noted in it ({len(drops)}) give no coefficient of restitution "
             f"({found.status.value}): every height must be finite and > 0, and no rebound higher than its drop by over "
-            "three standard uncertainties of their difference"
+            "three standard uncertainties of their difference; record the drops again"
         )
     return drops, found

@@ -145,7 +145,7 @@ class Manifold:
         return 2.0 * math.hypot(self.kappa, self.rho) / self.rho
 
     def theta(self, xi: Real | float) -> Real:
-        """Return Θ of the motion for ξ = A/b; NaN below the fold, where no such motion exists.
+        """Return Θ of the motion for ξ = A/b (see `Manifold`); NaN below the fold, where no such motion exists.
 
         Of the two solutions of the quadratic equation the larger is returned, since the smaller is never stable.
         """
@@ -155,7 +155,7 @@ class Manifold:
         return (self.kappa + root) / both
 
     def xi(self, theta: Real | float) -> Real:
-        """Return ξ = A/b, the structure's amplitude over half the gap, of motions with Θ.
+        """Return ξ = A/b, the structure's amplitude over half the gap, of motions with Θ; never NaN.
 
         `theta` is Θ, the sphere's amplitude over half the gap, shape (n,), as is the result.
         """
@@ -166,7 +166,7 @@ class Manifold:
         """Return N / (m ω²), complex: N is the fundamental of the sphere's force on the structure per displacement.
 
         The displacement is that of the structure; m is the mass of the sphere. The real part acts as an added mass, the
-        negative imaginary part as damping.
+        negative imaginary part as damping. `theta` is Θ, the amplitude of the sphere over half the gap.
         """
         top = theta * (self.kappa * theta - 1.0) - 1j * self.rho * theta**2
         return np.asarray(8.0 / math.pi**2 * top / self.xi(theta) ** 2, np.complex128)
@@ -330,14 +330,17 @@ class LinearRig:
         return cls(linear, sphere_kg, Manifold(restitution, sphere_kg / linear.m_1 if recoil else 0.0))
 
     def thetas(self) -> Real:
-        """Return a grid of Θ for a branch: from the fold to beyond the bound of stable motion, denser near the fold."""
+        """Return a grid of Θ, the sphere's amplitude over half the gap, for a branch.
+
+        It is ascending, from the fold to beyond the bound of stable motion, and denser near the fold.
+        """
         low, high = self.manifold.theta_fold * (1.0 + _NEAR_FOLD), BEYOND * THETA_SYMMETRIC
         return low + (high - low) * np.linspace(0.0, 1.0, POINTS) ** 2
 
     def gaps(self, theta: Real, frequency_hz: Real, held: HeldDrive) -> Real:
-        """Return the gap [m] at which the motion with each Θ occurs; every Θ has one.
+        """Return the gap [m] at which the motion with each Θ occurs; every Θ has one, > 0.
 
-        `theta` and `frequency_hz` are broadcast.
+        `theta` is Θ, the sphere's amplitude over half the gap; it and `frequency_hz` are broadcast.
         """
         return self._answer(theta, frequency_hz, held).gap_m
 
@@ -362,7 +365,8 @@ class LinearRig:
     def motions(self, theta: Real, frequency_hz: Real | float, held: HeldDrive) -> Branch:
         """Return the motions with these Θ, shape (n,), each with the gap at which it occurs and its stability.
 
-        `frequency_hz` is one value for all motions, or has the shape (n,).
+        `theta` is Θ, the sphere's amplitude over half the gap. `frequency_hz` is one value for all motions, or has the
+        shape (n,).
         """
         manifold = self.manifold
         frequency = np.broadcast_to(np.asarray(frequency_hz, float), theta.shape).copy()
@@ -392,7 +396,8 @@ class LinearRig:
 
         Small errors of rig and sphere grow if one of them is outside the unit circle. The multipliers are the
         eigenvalues of −S Φ. Φ is the transition matrix of the flight between impacts, S the saltation matrix of the
-        impact that ends it. The sign mirrors the state, because the second half cycle mirrors the first.
+        impact that ends it. The sign mirrors the state, because the second half cycle mirrors the first. `theta` is Θ,
+        the sphere's amplitude over half the gap.
 
         Source: Leine & Nijmeijer 2004, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7.
         """
@@ -460,8 +465,8 @@ def branch(
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
     The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Those
-    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. Exactly one of `current_a`, `base_m` and
-    `superior_m` must be given: it is held constant along the branch.
+    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The branch is never empty. Exactly one of
+    `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
 
     Args:
         config: the rig; its own gap is ignored.

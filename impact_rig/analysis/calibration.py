@@ -111,7 +111,10 @@ _REMEDY = "correct the program that publishes it"
 
 @attrs.frozen(eq=False)
 class Calibration:
-    """Calibration of the channels: the columns of `daq/info`, each as an array in the order of `scans.CHANNELS`."""
+    """Calibration of the channels: the columns of `daq/info`, each as an array in the order of `scans.CHANNELS`.
+
+    A channel that is not `present` has an infinite range and otherwise zeros.
+    """
 
     rate_hz: float  # scans per second; an int if it is an integer
     low: Real  # lower end of the range [SI unit of the channel]; high: upper end
@@ -237,7 +240,7 @@ class Calibration:
         return float((2.0 * math.pi * frequency_hz) ** int(self.derivative[channel]))
 
     def scales(self, frequency_hz: float) -> Real:
-        """Return `scale` of every channel, which is 1 for accelerometer and current, shape (4,)."""
+        """Return ωⁿ (`scale`) of every channel, which is 1 for accelerometer and current, shape (4,)."""
         return np.array([self.scale(channel, frequency_hz) for channel in range(len(CHANNELS))])
 
     def gain_uncertainty_at(self, channel: int, amplitude: float) -> float:

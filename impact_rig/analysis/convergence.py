@@ -100,7 +100,10 @@ def _change(scaled: Reals, quantity: int, period: int, k: int) -> float:
 
 @kernel
 def _largest_changes(scaled: Reals, quantity: int, period: int) -> tuple[float, float]:
-    """Return the largest `_change` of a quantity (0 to 3) over `period` cycles in the first and second half."""
+    """Return the largest `_change` of a quantity over `period` cycles in the first and second half of the rows.
+
+    The quantities 0 to 3 are x_b, x_1, x_2 and v_2.
+    """
     count = scaled.shape[0] - period
     early, late = 0.0, 0.0
     for k in range(count // 2):

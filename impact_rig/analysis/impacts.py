@@ -87,8 +87,9 @@ NO_IMPACTS = np.zeros(0, IMPACT)
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
     """Return copies of drive cycles whose `impacts` and `strikes` are filled in from detected impacts (`IMPACT`).
 
-    `impacts` are their numbers in each cycle; `strikes` marks the parts of the cycle in which they are. Impacts outside
-    the cycles are ignored. `origin` is the first scan of cycle 0, `period` the number of scans per cycle.
+    `impacts` are their numbers in each cycle; `strikes` is 1 for each part of a cycle in which they are, else 0, shape
+    (n, PHASE_BINS). Impacts outside the cycles are ignored. `origin` is the first scan of cycle 0, `period` the number
+    of scans per cycle.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
     place = np.searchsorted(edges, impacts["scan"], side="right") - 1

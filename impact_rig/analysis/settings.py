@@ -155,7 +155,7 @@ class GapLabel:
     stamp_ns: int
 
     def text(self) -> str:
-        """Return the label as a remark for the topic `notes`; `parse_label` reads the same label from it."""
+        """Return the label as a remark for the topic `notes`, with `nan` if unknown; `parse_label` reads it back."""
         return f"gap_m={self.gap_m!r} at {self.stamp_ns}"
 
 

@@ -62,7 +62,7 @@ class Counters:
 
 @attrs.frozen
 class TrackerState:
-    """State of a tracker's measurement.
+    """State of a tracker's measurement: an `AnalysisWord`, its reason and its start.
 
     It depends only on the tables that the tracker has received, so a recorded run gives the same states again.
     """
@@ -179,9 +179,9 @@ class Tracker:
     def configure(self, info: Table) -> None:
         """Register the calibration; a repetition of the last table is ignored.
 
-        The first calibration applies to all scans. Another one applies from its stamp on, and ends the measurement in
-        progress. If the table has another time of scan 0 or another scan rate than the last one, the rig was reset: the
-        scans from then on are measured as a new record.
+        The first calibration applies to all scans. Another one applies from its stamp on, and discards the measurement
+        in progress: its row has only a status. If the table has another time of scan 0 or another scan rate than the
+        last one, the rig was reset: the scans from then on are measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -217,7 +217,9 @@ class Tracker:
             self._resets.append(_Reset(start_ns, calibration))
 
     def on_applied(self, applied: Table) -> None:
-        """Register commands to the drive; a changed one ends the measurement in progress, an equal one has no effect.
+        """Register commands to the drive; one equal to the present command has no effect.
+
+        A changed one discards the measurement in progress: its row has only a status.
 
         Args:
             applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If the
@@ -240,7 +242,7 @@ class Tracker:
     def label(self, gap_m: float, stamp_ns: int) -> None:
         """Register the operator's label of the gap, which the rows of the measurement state.
 
-        A changed label ends the measurement in progress.
+        A changed label discards the measurement in progress: its row has only a status.
 
         Args:
             gap_m: total gap [m]; 0 = no sphere, NaN = unknown.
@@ -634,7 +636,7 @@ class Tracker:
         return impact_tables(self._detector.timed(found), self._rate, self._start_ns)
 
     def _interrupt(self, status: Status) -> None:
-        """End the measurement in progress, if there is one, with a row that has only `status` as the reason."""
+        """Discard the measurement in progress, if there is one, with a row that has only `status` as the reason."""
         if self._accumulator is not None:
             self._add(self._accumulator)
             if self._accumulator.pending_cycles or self._judge.pending:

@@ -64,7 +64,10 @@ def _text(number: float, spec: str) -> str:
 
 
 def plus_minus(value: float, u: float) -> str:
-    """Return `value ± 2u` as `rounded` formats it, e.g. "63.57 ± 0.32", NaN as "-"; `u` is the standard uncertainty."""
+    """Return `value ± 2u` as `rounded` formats it, e.g. "63.57 ± 0.32"; `u` is the standard uncertainty.
+
+    A part that is NaN becomes "-", such as in "63.57 ± -".
+    """
     return " ± ".join(rounded(value, u))
 
 
@@ -133,7 +136,8 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
     """Return the relative standard uncertainty of a channel's gain because its sensor is not exactly linear.
 
-    `amplitude` is that of the vibration, in the unit of the channel.
+    `amplitude` is that of the vibration, in the unit of the channel. For a very small one, the result is 1.5 u(c_3) L/R
+    (`Calibration.gain_uncertainty_at`).
     """
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
     share = amplitude / half_range

@@ -102,7 +102,7 @@ def exactly(value: complex) -> Complex:
 
 
 def product(factors: Iterable[Complex]) -> Complex:
-    """Return the product of the factors, 1 if there are none."""
+    """Return the product of the factors in the decimal context of the caller, 1 if there are none."""
     total = Complex(ONE)
     for factor in factors:
         total = total * factor
@@ -139,7 +139,10 @@ def unit(angle: Decimal) -> Complex:
 
 
 def evaluate(coefficients: Sequence[Decimal], s: Complex) -> Complex:
-    """Return the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first."""
+    """Return the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first.
+
+    The computation uses the decimal context of the caller.
+    """
     value = Complex(ZERO)
     for c in reversed(coefficients):
         value = value * s
@@ -148,7 +151,10 @@ def evaluate(coefficients: Sequence[Decimal], s: Complex) -> Complex:
 
 
 def evaluate_with_slope(coefficients: Sequence[Decimal], s: Complex) -> tuple[Complex, Complex]:
-    """Return p(s) and p'(s) of the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first."""
+    """Return p(s) and p'(s) of the polynomial p(s) = Σ c_j s^j with the coefficients c_j, constant first.
+
+    The computation uses the decimal context of the caller.
+    """
     value, slope = Complex(ZERO), Complex(ZERO)
     for c in reversed(coefficients):
         slope = slope * s + value
@@ -203,7 +209,8 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 def _paired(found: list[Complex]) -> list[Complex] | None:
     """Return the real roots, then those with a positive imaginary part, in the order of `roots`.
 
-    Return None if not every root of the latter has a conjugate: the number of roots left differs from theirs.
+    A root counts as real, and loses its imaginary part, if that is below `_BLUR` times the real part. Return None if
+    not every root of the latter has a conjugate: the number of roots left differs from theirs.
     """
     real = [Complex(z.real) for z in found if abs(z.imag) <= _BLUR * abs(z.real)]
     upper = [z for z in found if z.imag > _BLUR * abs(z.real)]

@@ -184,7 +184,7 @@ class Counted(Progress):
             self._steps.show(done, state)
 
     def stop(self) -> None:
-        """End the display; on a terminal, the text `end` remains in place of the state."""
+        """End the display; on a terminal, the bar remains, with the text `end` as its state."""
         self.update(self.task_ids[0], state=self.end)
         super().stop()
 

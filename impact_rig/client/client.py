@@ -78,7 +78,7 @@ class Received:
 
 
 class Collector:
-    """Store of all messages received on one topic.
+    """Store of all messages received on one topic, without limit, until `clear`.
 
     Messages that are not valid tables of the topic are counted (`refused`) and dropped.
 
@@ -98,7 +98,7 @@ class Collector:
         return len(self.received)
 
     def take(self, data: Any, info: dict[str, Any]) -> None:
-        """Keep one message, and decode its table; use this as the callback of the subscription."""
+        """Keep one message with its decoded table, or count an invalid one (`refused`): the subscription's callback."""
         table = None
         if self.topic.columns is not None:
             try:
@@ -120,7 +120,7 @@ class Collector:
 
     @property
     def messages(self) -> list[Any]:
-        """Messages received and kept, oldest first; on a topic with tables, each as CDR (serialised) bytes."""
+        """Messages kept since the start or `clear`, oldest first; on a topic with tables, as CDR (serialised) bytes."""
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
@@ -321,9 +321,9 @@ class ServiceFailedError(ImpactRigError, RuntimeError):
 class Client:
     """ROS node that acts as the user of a rig: it commands, calls services, sets parameters and receives topics.
 
-    It receives messages only while it waits. Every wait has a time limit, and ends with an error if a watched node
-    process ends. `Client(namespace="/rig")` connects to a rig that runs elsewhere in this ROS domain. Used as a context
-    manager, it calls `close` at the end. It needs ROS 2.
+    It receives messages only while it waits. Every wait has a time limit, and ends with a `GoneError` if a watched
+    node process ends. `Client(namespace="/rig")` connects to a rig that runs elsewhere in this ROS domain. Used as a
+    context manager, it calls `close` at the end. It needs ROS 2.
 
     Args:
         domain_id: ROS domain of the rig; None means that of this process, `ROS_DOMAIN_ID`.
@@ -499,7 +499,7 @@ class Client:
             self._address(node)
 
     def _address(self, node: str) -> None:
-        """Address the activation that runs after a transition of the rig `node`; no effect for other nodes."""
+        """Register by `changed` that a transition of the rig `node` ended, even if it failed; ignore other nodes."""
         if node in self._rigs:
             received = self.executor.create_task(lambda: None)  # runs after everything received so far
             self.wait_until(received.done, "the executor")
@@ -963,7 +963,7 @@ class Client:
         """Wait until a publisher is connected with the subscribers of its topic, as `has_subscribers` defines it.
 
         `publish` describes the arguments and errors. A publisher that was connected once is not checked again, not even
-        for another `listener`.
+        for another `listener`, until this client has changed the state of the rig.
         """
         if publisher not in self._matched:
             matched = functools.partial(has_subscribers, self.node, publisher, listener)

@@ -118,7 +118,7 @@ class Shaker:
 
 @attrs.frozen(kw_only=True)
 class Drive:
-    """Drive of the inferior base: quantity, waveform, and command at the start."""
+    """Drive of the inferior base: coil current, base motion or voltage; its waveform, and the command at the start."""
 
     kind: str = choice(
         "current",
@@ -171,7 +171,7 @@ class Drive:
 
 @attrs.frozen(kw_only=True)
 class Sphere:
-    """Loose steel sphere between the barriers."""
+    """Loose steel sphere between the barriers: its size, material, friction and start position."""
 
     present: bool = switch(True, "Whether the sphere is on the rig.", Origin.PAPER)
     start: str = choice(
@@ -217,7 +217,7 @@ class Barriers:
 
 @attrs.frozen(kw_only=True)
 class Daq:
-    """Scan clock of the data acquisition board, and the seed of all random numbers."""
+    """Scan clock of the data acquisition board (rate, blocks, clock error), and the seed of all random numbers."""
 
     rate_hz: int = integer(
         10_000, "Hz", "Scans per second, per channel.", at_least=100, at_most=250_000, read_only=True

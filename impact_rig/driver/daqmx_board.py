@@ -192,7 +192,7 @@ class DaqmxTask:
         return self.state in {State.ARMED, State.RUNNING}
 
     def must_be_idle(self) -> None:
-        """Check that the task is not running, so that its settings can change.
+        """Check that the task is not running, so that its settings can change; a task that is done passes.
 
         Raises:
             DaqmxError: the task is running or waits for its trigger.
@@ -210,7 +210,7 @@ class DaqmxTask:
             raise DaqmxError(Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "the task has no channels: add some first")
 
     def raise_error(self) -> None:
-        """Raise the error that ended the task, if there is one."""
+        """Raise the error that ended the task, if there is one; `Board.start` and `Board.stop` clear it."""
         if self.error is not None:
             raise self.error
 
@@ -479,7 +479,7 @@ class Board:
         task.buffer_samples = samples
 
     def configure_trigger(self, task: DaqmxTask, source: str) -> None:
-        """Set or remove the start trigger of a task: once started, it waits until a task of the other kind starts.
+        """Set or remove a task's start trigger: once started, it waits for the next start of a task of the other kind.
 
         Args:
             task: task that waits for the trigger.
@@ -634,6 +634,8 @@ class Board:
         Raises:
             DaqmxError: the task has no output, cannot be started or has failed, a sample is out of range, the buffer
                 had no space in time, or `auto_start` is false for a task without a clock that is not running.
+            CommandError: the task is to be started, and the drive of a running rig is not a stream.
+            ConfigError: the task is to be started, and the blocks of a running rig are too long for an output.
         """
         if task.kind != "ao":
             raise DaqmxError(

@@ -128,7 +128,7 @@ class Service:
 
     @_served
     def StartTask(self, request: Any, context: Any) -> None:
-        """Start a task, or make it wait for its start trigger."""
+        """Start a task, or make it wait for its start trigger; no effect on a task that is running or waits already."""
         self.board.start(self._task(request))
 
     @_served
@@ -164,7 +164,7 @@ class Service:
 
     @_served
     def ResetDevice(self, request: Any, context: Any) -> None:
-        """Stop all tasks of the board, which has only this one device under all its names."""
+        """Stop all tasks of the board, which is one device under all its names; fail if the name is none of these."""
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
             self.board.stop(task)
@@ -203,7 +203,7 @@ class Service:
 
     @_served
     def CfgDigEdgeStartTrig(self, request: Any, context: Any) -> None:
-        """Make this task, once started, wait until a task of the other kind (input or output) starts."""
+        """Make this task, once started, wait for the next start of a task of the other kind (input or output)."""
         self.board.configure_trigger(self._task(request), request.trigger_source)
 
     @_served
@@ -272,7 +272,7 @@ class Service:
 
     @_served
     def WriteAnalogF64(self, request: Any, context: Any) -> dict[str, Any]:
-        """Write samples [V] of an output task, given as an array."""
+        """Write samples [V] of an output task, given as an array for its one channel."""
         return self._write(request, context, request.write_array, request.num_samps_per_chan)
 
     @_served

@@ -171,7 +171,10 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def journal(self) -> list[JournalEntry]:
-        """Return the kept journal entries, across resets, oldest first: the inputs that changed the rig's state."""
+        """Return the kept journal entries, across resets, oldest first: the inputs that changed the rig's state.
+
+        `clear` drops none of them.
+        """
 
     @abc.abstractmethod
     def save(self, directory: str | Path) -> Path:
@@ -198,7 +201,7 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def inject(self, fault: Fault) -> int:
-        """Add an instrument fault, which starts at its `start_sample`; return its number, counted after planned ones.
+        """Add an instrument fault, which starts at its `start_sample`; return its number (from 1, after planned ones).
 
         Raises:
             ImpactRigError: the kind or channel is unknown, or the scan `start_sample` has been measured already.
@@ -375,7 +378,7 @@ class RigDriver(abc.ABC):
                 started = "; ".join(str(fault) for fault in self.faults if fault.start_sample < self.sample)
                 raise NotReachedError(
                     f"timeout after {limit_s:g} s of rig time: waiting for {what} ({self.name} is at "
-                    f"{self.time_s:g} s, {f'faults: {started}' if started else 'no faults'})"
+                    f"{self.time_s:g} s, {f'faults so far: {started}' if started else 'no faults so far'})"
                 )
             self.step(min(blocks, left))
         return self.time_s
@@ -602,7 +605,7 @@ def check_topics(also: Iterable[str]) -> None:
 
 
 def configured(config: RigConfig | Mapping[str, Any] | None, faults: Iterable[Fault]) -> RigConfig:
-    """Return the configuration of a rig: `config` or, from a mapping, the defaults with these values.
+    """Return the configuration of a rig: `config` or, from a mapping `section.key` -> value, the defaults with these.
 
     None means the defaults. The `faults` are added to the planned faults of the configuration
     (`instruments.faults.planned`).

@@ -233,7 +233,7 @@ class LocalRig(RigDriver):
         """Add an instrument fault, which starts at its `start_sample`.
 
         Args:
-            fault: the fault; its `start_sample` must not be measured yet.
+            fault: the fault; its `start_sample` must not be measured yet, so set it: the default is 0.
 
         Returns:
             Number of the fault, from 1, for `core.clear_fault`. Planned faults have the first numbers. A reset restarts
@@ -412,7 +412,7 @@ class LocalRig(RigDriver):
             self._forget_oldest()
 
     def _forget_oldest(self) -> None:
-        """Drop the oldest table or journal entry; one of a topic in `ESSENTIAL` is moved to `_early` and kept."""
+        """Drop the oldest table or journal entry; an `ESSENTIAL` one moves to `_early`, for `_forget_early`."""
         topic, one = self._order.popleft()
         if topic in ESSENTIAL:
             self._early.append((topic, one))

@@ -103,7 +103,7 @@ class RosRig(RigDriver):
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
             become parameters of an analysis node. None means no analysis, {} one with the defaults.
         record: directory of a run that a recorder writes; True means one in `directory`, which `renew` replaces.
-        also: further topics whose tables are kept, such as `truth/scan`.
+        also: further topics whose tables are kept until `clear`, such as `truth/scan`.
         mode: `time.mode` of a new rig; a running rig keeps its own. `lockstep`, the default, advances only on request;
             `realtime` and `free_running` rigs run by themselves, and `step` waits for their scans.
         hosted: whether to run a new rig and its recorder in this process instead of processes of their own. They start
@@ -253,7 +253,7 @@ class RosRig(RigDriver):
     def _finds_readers(self) -> bool:
         """Return whether this program has discovered all readers of scans that the rig's diagnostics name.
 
-        The readers are nodes, compared by name. The result is False until diagnostics have arrived.
+        The readers are nodes, compared by name without namespace. The result is False until diagnostics have arrived.
         """
         figures = self.client.figures("rig")
         names = {key.removeprefix("behind.") for key in figures if key.startswith("behind.")}
@@ -284,9 +284,14 @@ class RosRig(RigDriver):
     # The pipeline under test
 
     def host(self, make_node: Callable[..., Any], **kwargs: Any) -> Any:
-        """Create a node under test in this process; the rig waits for its callback after each block.
+        """Create a node under test in this process, and make the rig wait for its callbacks.
 
-        Its code need not be changed. Its callbacks run in this thread while this object waits, without a time limit.
+        In lockstep, `step` returns when they have processed all blocks of the step. Within it, as always in
+        `free_running`, the rig is at most `time.ack_window` blocks ahead of them (by default 8 for a new rig). A
+        `realtime` rig does not wait.
+
+        The node's code need not be changed. Its callbacks run in this thread while this object waits, without a time
+        limit.
 
         Args:
             make_node: class or function that creates the node.
@@ -317,7 +322,7 @@ class RosRig(RigDriver):
         output: str | None = None,
         timeout_s: float = NODE_TIMEOUT_S,
     ) -> Collector | None:
-        """Start a node under test as a process, for which the rig waits after each block.
+        """Start a node under test as a process, for which the rig waits as for one of `host`.
 
         Args:
             command: program and arguments; `--ros-args -r __node:=NAME …` is appended.
@@ -342,7 +347,7 @@ class RosRig(RigDriver):
         return self.follow(name, output, timeout_s)
 
     def follow(self, name: str, output: str | None = None, timeout_s: float = NODE_TIMEOUT_S) -> Collector | None:
-        """Make the rig wait, after each block, for a node that another program has started.
+        """Make the rig wait, as for a node of `host`, for a node that another program has started.
 
         Args:
             name: node name of the node.
@@ -452,7 +457,7 @@ class RosRig(RigDriver):
     def journal(self) -> list[JournalEntry]:
         """Return the journal entries that have arrived, oldest first: every input that changed the rig's state.
 
-        They go on across resets, and begin again with a `restart`.
+        They go on across resets; the methods `restart` and `renew` drop them.
         """
         return self._collectors[topics.JOURNAL.name].entries()
 
@@ -504,13 +509,13 @@ class RosRig(RigDriver):
         """Add an instrument fault, as a further line of `instruments.faults.planned`.
 
         Args:
-            fault: the fault; its `start_sample` must not be measured yet.
+            fault: the fault; its `start_sample` must be at least `frontier_sample`, so set it: the default is 0.
 
         Returns:
             Number of the fault among the planned ones, from 1.
 
         Raises:
-            CommandError: the scan has been measured already.
+            CommandError: `start_sample` is too small.
             ConfigError: the node rejected the fault.
         """
         if fault.start_sample < self.frontier_sample:

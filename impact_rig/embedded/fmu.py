@@ -116,7 +116,9 @@ def _compile(work: Path, kernels: Path) -> str:
     if done.returncode:
         errors = (line for line in done.stderr.splitlines() if "error" in line)
         why = next(errors, f"exit code {done.returncode}")
-        raise ImpactRigError(f"the FMU cannot be compiled with the kernels in {kernels} by {compiler()[0]} (CC): {why}")
+        raise ImpactRigError(
+            f"the FMU cannot be built with the compiled kernels in {kernels} by {compiler()[0]} (CC): {why}"
+        )
     machine = made.stdout.partition("-")[0]
     return machine if machine in PLATFORMS["3.0"] else platform.machine()
 

@@ -413,10 +413,11 @@ class Chain:
     def _stick(
         self, channel: int, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings, in place.
+        """Apply the fault `stuck`, a converter that repeats its last reading, to a channel's readings [unit].
 
-        The flags in `clipped` of the repeated readings are cleared. `first` is the number of the scan of the first
-        reading, and `last` the reading before it; None at the start, where the first reading is repeated instead.
+        The readings are changed in place. The flags in `clipped` of the repeated readings are cleared. `first` is the
+        number of the scan of the first reading, and `last` the reading before it; None at the start, where the first
+        reading is repeated instead.
         """
         self._faults.behind_converter(self._names[channel], readings, clipped, first, last)
         if len(readings):
@@ -430,7 +431,8 @@ def _kicks(blows: NDArray[np.void], motion_tick: int, pieces: Pieces, mass_kg: f
     """Return the jump of the superior base's velocity [m/s] at the start of each piece, shape (n,).
 
     The jumps are caused by the instantaneous impacts `blows` on a superior base of the mass `mass_kg` [kg]; those in
-    one piece add up. `motion_tick` is the tick at which the pieces begin; impacts outside the pieces are ignored.
+    one piece add up at its start. `motion_tick` is the tick at which the pieces begin; impacts outside the pieces are
+    ignored.
     """
     kicks = np.zeros(len(pieces.start))
     tick = blows["tick"] - motion_tick

@@ -176,7 +176,8 @@ def _respond(
 ) -> None:
     """Advance the dynamics of one channel's sensor through the pieces, and append its output at the conversions.
 
-    The output [unit of the channel] is appended to `values` behind the first `channel.filled` values.
+    The output [unit of the channel] is appended to `values` behind the first `channel.filled` values. `kicks` are the
+    jumps of the input's integral [unit s] at the start of each piece, shape (pieces,), or (0,) without jumps.
     """
     tick_s, first_and_spacing = pieces.tick_s, buffers.first_and_spacing
     first_and_spacing[1] = tick_s * (clock.period / clock.tick)
@@ -235,8 +236,8 @@ def respond(
 def digitise(channels: Records, buffers: Buffers) -> None:
     """Replace the volts that `respond` appended to each channel's buffer by readings in the unit of the channel.
 
-    The converter adds its noise and errors, and rounds to its steps. Readings outside its range are limited to it, and
-    marked in `buffers.clipped`.
+    The converter adds its noise and errors, and rounds to its steps. Readings beyond its range are limited to it, and
+    those at its ends are marked in `buffers.clipped`.
     """
     for j in range(channels.shape[0]):
         channel = channels[j]

@@ -184,7 +184,7 @@ class FaultPlan:
             raise ConfigError(f"planned: {error}") from error
 
     def faults(self, scan_rate_hz: int) -> tuple[Fault, ...]:
-        """Return the planned faults, with their times converted to scans at this scan rate; empty lines are ignored.
+        """Return the planned faults, with times rounded up to whole scans at this scan rate; empty lines are ignored.
 
         Raises:
             ConfigError: a line is malformed; the message quotes it.
@@ -330,10 +330,11 @@ class FaultBoard:
     def behind_converter(
         self, channel: str, readings: NDArray[np.float64], clipped: NDArray[np.bool_], first: int, last: float | None
     ) -> None:
-        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings, in place.
+        """Apply the fault of a stuck converter, which repeats its last reading, to a channel's readings [unit].
 
-        The flags in `clipped` of the repeated readings are cleared. `first` is the number of the first reading's scan,
-        and `last` the reading before it; None at the start, where the first reading is repeated instead.
+        The readings are changed in place. The flags in `clipped` of the repeated readings are cleared. `first` is the
+        number of the first reading's scan, and `last` the reading before it; None at the start, where the first reading
+        is repeated instead.
         """
         for active in self._faults:
             if active.fault.channel == channel and active.fault.kind == "stuck":

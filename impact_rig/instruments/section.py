@@ -39,7 +39,7 @@ from impact_rig.topics import SCAN as SCAN_TOPIC
 
 
 def _with_instruments(_section: type, own: list[attrs.Attribute[Any]]) -> list[attrs.Attribute[Any]]:
-    """Return the attributes of the section `instruments`: `own`, with one per registered instrument after the first.
+    """Return the attributes of the section `instruments`: `own`, with one per registered instrument behind `own[0]`.
 
     attrs calls this while it makes the class `Instruments`, so later registrations have no effect.
     """

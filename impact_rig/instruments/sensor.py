@@ -133,7 +133,7 @@ class Transfer:
     def modes(self) -> SensorModes:
         """Return the partial fractions of the transfer function, whose terms are its modes.
 
-        Poles that are equal or nearly so are moved apart. There must be more poles than zeros.
+        Poles that are equal or nearly so are moved apart. There must be more poles than zeros, which is not checked.
         """
         return _modes(self)
 

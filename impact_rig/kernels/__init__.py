@@ -138,7 +138,8 @@ class Exported(NamedTuple):
     Attributes:
         function: the function in Python.
         type: type of the exported function.
-        around: function that takes `function`, compiled, and returns the function to export, which calls it.
+        around: function, always given, that takes `function`, compiled, and returns the function to export, which
+            calls it.
     """
 
     function: Callable[..., Any]

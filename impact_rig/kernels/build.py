@@ -247,7 +247,7 @@ def write_tables(found: Path, work: Path) -> list[str]:
     """Write `tables.c` into `work`: the address of each kernel by its name, which kernels.c and library.c need.
 
     The file also contains the version of the package and the digests of the sources. `found` is the folder with the
-    translated kernels. The result is their names.
+    translated kernels (LLVM code or assembly), whose names are returned.
     """
     names = [line for part in PARTS for line in (found / f"{part}.names").read_text().splitlines()]
     declared = "\n".join(f"extern {_prototype(name)};" for name in names)
@@ -348,7 +348,10 @@ def _compile(arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Run the command of this module: build the kernels in a folder, or copy those of the package if up to date."""
+    """Run the command of this module: build the kernels into a folder.
+
+    If those of the package are up to date, they are not built again but copied to the folder, unless it is their own.
+    """
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"
         "date files are kept, or copied to the folder."

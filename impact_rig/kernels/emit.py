@@ -33,7 +33,7 @@ OPTIMISATION = 3
 
 
 class Target(NamedTuple):
-    """Target for which LLVM emits code, in LLVM's terms."""
+    """Target for which LLVM emits code, in LLVM's terms: triple, CPU, features and relocation model."""
 
     triple: str
     cpu: str

@@ -60,7 +60,7 @@ def header(entries: Mapping[str, kernels.Entry]) -> str:
 
 
 def whole(parts: Iterable[str]) -> str:
-    """Return the text of impact_rig.h, from the declarations of the parts of the kernels.
+    """Return the text of impact_rig.h; `parts` are the texts that `header` returned for the parts of the kernels.
 
     A record type that several parts declare is declared once.
     """

@@ -183,7 +183,7 @@ class AckWindow:
     def forgive(self, names: Iterable[str]) -> None:
         """Count all blocks published so far as acknowledged by these peers, and restart their timeout.
 
-        The rig still waits for these peers to acknowledge later blocks.
+        The rig still waits for these peers to acknowledge later blocks. Each name must be one of `readers`.
         """
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()

@@ -254,7 +254,10 @@ class AnalysisNode(ManagedNode[AnalysisSettings]):
                     self.send(topics.TRANSMISSIBILITY, Float64(data=self._latest))
 
     def _analyse(self, scan: Table) -> None:
-        """Pass a block of scans to each of the `ANALYSES` whose channels it contains, and publish their results."""
+        """Pass a block of scans to each of the `ANALYSES` whose channels it contains, and publish their results.
+
+        They get all blocks, also those before the calibration.
+        """
         for analysis in self._blockwise:
             if set(analysis.needs) <= set(scan.rows.dtype.names or ()):
                 table = analysis.feed(scan)

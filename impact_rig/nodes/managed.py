@@ -265,7 +265,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Start the node's work, at the lifecycle transition `activate`; after an exception, `deactivate` is called."""
 
     def deactivate(self) -> None:
-        """Stop the node's work; the publishers of `offer` stay. It is also called if the node is not active."""
+        """Stop the node's work; the publishers of `offer` stay. It is also called if the node is not active.
+
+        If it raises an exception, that is logged, and the node is deactivated nevertheless.
+        """
 
     def cleanup(self) -> None:
         """Free what `configure` created, except publishers of `offer`; must work also if `configure` failed midway."""
@@ -415,6 +418,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     ) -> Any:
         """Create a subscription to a topic; an exception in `callback` is logged and shown in diagnostics.
 
+        It outlives deactivation and clean-up, unless it is passed to `until_deactivated`.
+
         Args:
             topic: entry of `impact_rig.topics`.
             callback: called with each message, and with its info if it takes two arguments.
@@ -434,6 +439,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """Create a subscription to a topic that carries tables; `callback` gets each decoded table.
 
         Invalid messages, and tables for which `callback` raises an ImpactRigError, are logged and counted as rejected.
+        The subscription outlives deactivation and clean-up, unless it is passed to `until_deactivated`.
         """
 
         def take(data: bytes) -> None:

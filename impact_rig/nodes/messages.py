@@ -91,7 +91,9 @@ def message_class(type_name: str) -> Any:
     """
     package, _, name = type_name.split("/")
     if not package.isidentifier():
-        raise ValueError(f"{package!r} is not the name of a package of message types")
+        raise ValueError(
+            f"{package!r} cannot be a package of message types: use letters, digits and _, and begin with no digit"
+        )
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 

@@ -216,7 +216,7 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: numbers of lost messages by topic, of the current or last run.
+        """Return values for diagnostics: `lost.TOPIC`, the number of lost messages of each topic in the newest run.
 
         During a run, its directory, number of messages and size [MB] are added; `other_publishers` names nodes that
         have published the same topic although only one may.
@@ -412,7 +412,8 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         if self._awaited and came_late and time.monotonic() - self._opened_at > AWAIT_S:
             names = ", ".join(sorted(self._awaited))
             self.get_logger().warning(
-                f"no message on {names} more than {AWAIT_S:g} s after the recording began: it no longer waits for them"
+                f"no message on {names} more than {AWAIT_S:g} s after the recording began: ~/start and the "
+                "diagnostics no longer wait for them"
             )
             self._awaited = set()
         if self._writer is not None:
@@ -526,14 +527,15 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return {name: n for name, n in self._account.lost().items() if self._added[name] not in REPLACED}
 
     def _lacks_messages(self) -> bool:
-        """Return whether this run has lost a message of the rig that must not be missing (`NEEDED`)."""
+        """Return whether `_lost` contains a topic of the rig of which no message may be missing (`NEEDED`)."""
         return self._writer is not None and any(self._added[name] in NEEDED for name in self._lost())
 
 
 def run_directory(text: str) -> Path:
     """Return the path for the parameter `directory` of the recorder, with `~` replaced by the home directory.
 
-    A relative path stays relative, to the working directory of the node. Nothing is created.
+    A relative path stays relative, to the working directory of the node; an empty text means that directory. Nothing is
+    created.
 
     Raises:
         RecordingError: the path begins with the home directory of an unknown user.

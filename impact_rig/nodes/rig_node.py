@@ -115,7 +115,10 @@ class RigNode(ManagedNode[RigConfig]):
         return self._state.health()
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: time mode, time, lateness, readers, drive, energy and scans over range."""
+        """Return values for diagnostics: time mode, time, lateness, readers, drive, energy and scans over range.
+
+        Which keys there are depends on the time mode, the drive, the channels and the readers.
+        """
         return self._state.figures()
 
 

@@ -98,7 +98,10 @@ class RigState:
         return worst(running, *((one.level, one.message) for one in self._problems(rig)))
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: time mode and, once started, time, lateness, readers, drive, energy, scans."""
+        """Return values for diagnostics: time mode and, once started, time, lateness, readers, drive, energy, scans.
+
+        Which keys there are depends on the time mode, the drive, the channels and the readers.
+        """
         session, config = self._session, self._node.settings
         rig = session.rig
         if rig is None:

@@ -73,7 +73,10 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
 
 
 class NamespaceLock:
-    """Lock file that a rig holds for its ROS domain and namespace, to detect a second rig of this user and machine."""
+    """Lock file that a rig holds for its ROS domain and namespace, to detect a second rig of this user and machine.
+
+    In the second rig, `take` returns False, and that rig waits until the first one has ended.
+    """
 
     def __init__(self, node: Node) -> None:
         self._name = files.place(node.context.get_domain_id(), node.get_namespace())
@@ -495,7 +498,8 @@ class Session:
 
         It counts as suspended if more than `AWAY_S` passed between two calls. The timeouts of the peers then start
         again. If more than `EXPIRES_S` passed, in which the process used less than a quarter of a processor,
-        `refuse_backlog` also rejects the commands sent before.
+        `refuse_backlog` also rejects the commands sent before. Sleep of the whole machine does not count, because the
+        monotonic clock stops with it.
         """
         now, used_s = time.monotonic(), time.process_time()
         before_ns, self._epoch_ns = self._epoch_ns, time.time_ns() - time.monotonic_ns()

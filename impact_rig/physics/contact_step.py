@@ -530,7 +530,7 @@ def estimate_error(step: Record, h: float) -> float:
 def next_length(h: float, error: float) -> float:
     """Return the length for the next step, or for another attempt at this one, after a step of length h.
 
-    It is at least 0.1 h and at most 4 h; lengths are in χ. `error` is the result of `estimate_error` for the step of
-    length h: its error as a multiple of the allowed one.
+    It is at least 0.1 h and at most 4 h; lengths are in χ [s/m^0.5]. `error` is the result of `estimate_error` for the
+    step of length h: its error as a multiple of the allowed one.
     """
     return h * min(4.0, max(0.1, 0.8 * power(max(error, 1e-9), -1.0 / ERROR_ORDER)))

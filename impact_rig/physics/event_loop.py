@@ -303,7 +303,7 @@ def _bounce(
 
 @kernel
 def _flight_phase(model: Model, f: DriveSegment, work: Workspace, t_end: float, account: bool) -> int:
-    """Advance a flight, with the sphere loose or attached, to its next event or `t_end`; return the event, or PAUSED.
+    """Advance a flight, with the sphere loose or attached; return its next event, or PAUSED if `t_end` is earlier.
 
     `t_end` is the end of the drive segment, since its start [s]. If `account`, work and losses are added to the ledger.
     """

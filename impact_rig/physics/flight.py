@@ -361,7 +361,10 @@ def structure_at(system: Record, f: DriveSegment, flight: Record, t: float) -> N
 
 @kernel
 def negligible(advance: float, t: float) -> bool:
-    """Return whether `advance` [s] is lost in the rounding when it is added to the time t: the event is reached."""
+    """Return whether `advance` [s] is below the resolution of the time t, so that the event counts as reached.
+
+    The resolution is `_TIME_RESOLUTION` times t, or times `_SHORTEST` if t is less.
+    """
     return advance <= _TIME_RESOLUTION * max(t, _SHORTEST)
 
 

@@ -56,7 +56,7 @@ RAMP = Fields(Ramp, (int, float, float, int))
 
 @kernel
 def amplitude_at(ramp: Ramp, tick: int) -> float:
-    """Return the amplitude at the start of tick number `tick`: a value on the ramp, or its `target` after its end."""
+    """Return the amplitude at the start of `tick`, which must be >= `first_tick`: on the ramp, or `target` after it."""
     progress = (tick - ramp.first_tick) / ramp.ticks if tick < ramp.first_tick + ramp.ticks else 1.0
     return ramp.initial + (ramp.target - ramp.initial) * progress
 
@@ -191,7 +191,7 @@ class FunctionGenerator:
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] that later changes of the amplitude take.
+        """Set the time [s] that later changes of the amplitude take; 0 makes them jumps.
 
         A ramp that is under way starts again from the present amplitude with this time, but a ramp to zero only if it
         then ends earlier. A stream uses the time for the ramp to zero at missing samples as well. Such a ramp under way
@@ -264,7 +264,8 @@ class FunctionGenerator:
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
         """Add to the drive segments of a stopped stream a ramp to zero from the value at which it was stopped.
 
-        The segments of the stream itself are zero from that instant on, so the sum is the ramp alone.
+        The segments of the stream itself are zero from that instant on, so the sum is the ramp alone. `count` is the
+        number of ticks.
         """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return

@@ -57,8 +57,8 @@ class Model(NamedTuple):
     Attributes:
         parameters: one record of PARAMETERS: the numbers of the equations of motion.
         systems: two records of SYSTEM: the linear systems with the sphere loose and attached.
-        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, the upper end of its
-            range, `high`, is 0, and every contact is integrated.
+        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, the upper end `high`
+            of its range of η_0 is 0, and every contact is integrated.
         law: the contact law's compiled force.
     """
 

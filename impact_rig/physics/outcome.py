@@ -173,10 +173,10 @@ class Contacts:
         return left, out
 
     def derivatives(self, eta_0: float, which: int) -> tuple[bool, NDArray[np.float64], NDArray[np.float64]]:
-        """Return (whether the sphere left the wall in every contact, f', ½ f'') for the outcomes f at η_0.
+        """Return (whether the sphere left the wall in all contacts, f', ½ f''), f being the outcomes.
 
-        The derivatives are those by perturbation number `which` of (η_1, η_2, α, γ), computed from the differences
-        between three contacts.
+        The dimensionless acceleration at the touch is η_0. The derivatives are those by perturbation number `which` of
+        (η_1, η_2, α, γ), computed from the differences between three contacts.
         """
         perturbations = np.zeros(4)
         left, plain = self.under(eta_0, perturbations)

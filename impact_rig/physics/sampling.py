@@ -276,8 +276,8 @@ def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
 def _fill_powers(workspace: SamplingWorkspace, rate: complex, half: float) -> int:
     """Fill `workspace.powers` with (λ half)^k / k! for k = 0, 1, …, where λ = `rate`; return the number of terms.
 
-    It is PIECE_TERMS, but 2 for λ = 0, because a drive without oscillation is a straight line. `half` is the unit of
-    time of the polynomial, such as half the length of a piece [s].
+    λ is that of the drive (jω) or of a mode. The number is PIECE_TERMS, but 2 for λ = 0, because a drive without
+    oscillation is a straight line. `half` is the unit of time of the polynomial [s], such as half of a piece.
     """
     scaled_rate, term = rate * half, 1.0 + 0.0j
     terms = 2 if rate == 0.0 else PIECE_TERMS
@@ -527,7 +527,7 @@ def _quantities_in_contact(
 
 @kernel
 def _solve_again(model: Model, f: DriveSegment, s: Record, step: Record) -> tuple[float, float, float]:
-    """Expand `step` about s and solve it again with its length `s.h`; return its end: (its duration [s], w, δ')."""
+    """Expand `step` about s and solve it again with its length `s.h`; return its end: (duration [s], w = √δ, δ')."""
     p = model.parameters[0]
     expand(p, f, s, step)
     begin_step(p, model.law, s, step)
@@ -712,7 +712,7 @@ def _fit_flight(
 def _fit_contact(
     model: Model, f: DriveSegment, history: Records, row: int, spans: Spans, i: int, workspace: SamplingWorkspace
 ) -> None:
-    """Fill `workspace.values` with the quantities at the nodes of piece i, which is within one step of a contact.
+    """Fill `workspace.values` with the quantities at the nodes of piece i, which lies inside one step of a contact.
 
     They come from the dense output of the step that begins at `history[row]`.
     """
@@ -731,9 +731,9 @@ def _fit_contact(
 
 @kernel
 def _depth_acceleration(model: Model, step: Record, per_v0: float, since: float, depth: float, speed: float) -> float:
-    """Return δ'' [m/s²] in a tabulated contact, `since` seconds after the touch, for the indentation and its rate.
+    """Return δ'' [m/s²], `since` seconds after the touch, in a contact whose outcome the simulation took from a table.
 
-    These are `depth` [m] and `speed` [m/s]; `step` must be expanded about the touch.
+    `depth` [m] and `speed` [m/s] are the indentation and its rate; `step` must be expanded about the touch.
     """
     p = model.parameters[0]
     w = math.sqrt(max(0.0, depth))
@@ -811,7 +811,8 @@ def _fit_samples(model: Model, trajectory: Trajectory, spans: Spans, i: int, wor
 def fit(model: Model, trajectory: Trajectory, spans: Spans, workspace: SamplingWorkspace) -> bool:
     """Fill `spans.out` with polynomials of the quantities on the pieces; return whether the trajectory has their ticks.
 
-    If not, the pieces from the first one outside the trajectory on are not filled in.
+    If not, the caller asked for a tick before or after the trajectory: the pieces from the first such one on are not
+    filled in.
 
     The error depends on the piece. In flight, it is a part of the fastest motion. A piece of up to 2 radians of this
     motion on either side of its middle loses 2^14 / 14! = 2e-7 at the end of the Taylor polynomial, and 2 / 8! = 5e-5

@@ -180,6 +180,8 @@ class Motion:
     def cycles(self) -> NDArray[np.void]:
         """Return for each tick both bases' complex amplitudes, and the sphere's motion at the start, dtype `CYCLE`.
 
+        The amplitude X of a motion means Im(X exp(jωt)) [m], with t from the start of the tick.
+
         Raises:
             ValueError: a tick is not a single segment of the drive with one complete cycle; impacts do not matter.
         """
@@ -255,7 +257,7 @@ class EnergyAccount:
 
     @property
     def imbalance(self) -> float:
-        """Work minus losses minus stored energy [J]: zero except for integration errors."""
+        """Work minus losses minus stored energy [J]: the integration error; a meaningless number without `account`."""
         return self.work - self.columns - self.shaker - self.contact - self.friction - self.stored
 
 
@@ -360,7 +362,7 @@ class Simulation:
         """Set the state (SI): superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
 
         x_b and v_b have no effect if the inferior base is prescribed. A coil current is set to zero, and the energy
-        account begins again.
+        account begins again. d is not checked against the walls.
         """
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
@@ -380,7 +382,7 @@ class Simulation:
         return np.array([*s["y"].tolist(), float(s["d"]), float(s["d_rate"])])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Set the state to the seven numbers that `state` returned, from which the next call of `advance` continues.
+        """Set the seven numbers of motion and current that `state` returned; the next `advance` continues from them.
 
         A sphere that is on a wall and at rest relative to it stays there, in phase ATTACHED, until the wall moves away
         from the sphere. With friction of the guide, a sphere at rest between the walls is ATTACHED as well, until it
@@ -495,7 +497,7 @@ class Simulation:
         self._stored = self.stored_energy() if y.any() else 0.0  # the sphere is at rest
 
     def _put_sphere(self, d: float, d_rate: float) -> None:
-        """Set the sphere to d = x_2 − x_1 [m] with the rate d_rate [m/s] relative to the superior base.
+        """Set the sphere to d = x_2 − x_1 [m], unchecked, with the rate d_rate [m/s] relative to the superior base.
 
         If the guide has friction, a sphere at rest is held and a sliding one is braked.
         """

@@ -111,7 +111,10 @@ class Buffer:
         self.ends.clear()
 
     def there(self, first: int, end: int) -> NDArray[np.bool_]:
-        """Return for each of the samples first … end − 1 whether it is in the buffer, shape (end − first,)."""
+        """Return for each of the samples first … end − 1 whether it is in the buffer, shape (end − first,).
+
+        A played sample stays in the buffer until a later one takes its memory.
+        """
         numbers = np.arange(first, end)
         found: NDArray[np.bool_] = self._tags[numbers % self.capacity] == numbers + 1
         return found
@@ -137,7 +140,8 @@ class Buffer:
 class Stream:
     """Player of a stream: turns buffered samples into drive segments, tick by tick. Copies share the buffer.
 
-    To play a sample is to use it, or to replace it if it is missing, in the drive segments of a tick.
+    To play a sample is to use it in the drive segments of a tick. If it is missing, a ramp to zero or the last value
+    replaces it.
 
     Attributes:
         rate_hz: samples per second.
@@ -261,7 +265,7 @@ class Stream:
     def segments(self, tick: int, count: int, tick_s: float) -> NDArray[np.void]:
         """Play the samples of the ticks tick … tick + count − 1 and return their drive segments, dtype `SEGMENT`.
 
-        `tick_s` is the duration of one tick [s].
+        `tick_s` is the duration of one tick [s]. Missing samples have the replacements that `_without` describes.
         """
         begin_ns, end_ns = tick * COMMAND_GRID_NS, (tick + count) * COMMAND_GRID_NS
         first = -(-(begin_ns + 1) * self.rate_hz // NS_PER_S) - 1  # the last one not after the start

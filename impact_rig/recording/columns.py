@@ -52,8 +52,8 @@ Columns = dict[str, NDArray[np.generic]]
 def batches(run: Run, topic: str) -> Iterator[Columns]:
     """Yield the columns of a table topic in batches of about 4 MiB, with text as str.
 
-    The columns `time`, `timestamp` and `earlier`, as this module describes them, precede those of the table. If the
-    messages of the topic have no rows, there is one batch of empty columns.
+    The columns `time`, `timestamp` and `earlier` (published before the recording began) precede those of the table, see
+    the docstring of this module. If the messages of the topic have no rows, there is one batch of empty columns.
 
     Raises:
         RecordingError: the topic carries no tables, has no message, or has tables with different columns.
@@ -91,13 +91,13 @@ def complete(parts: Iterator[Columns]) -> Columns:
 
 
 def to_dataframe(run: Run, topic: str) -> Any:
-    """Return the rows of a table topic as a `pandas.DataFrame`; implements `Run.to_dataframe`."""
+    """Return the rows of a table topic as a `pandas.DataFrame`; implements `Run.to_dataframe`, with its errors."""
     pandas = extras.load("pandas", "to_dataframe()", "tables")
     return pandas.DataFrame(complete(batches(run, topic)))
 
 
 def to_xarray(run: Run, topic: str) -> Any:
-    """Return the rows of a table topic as an `xarray.Dataset`; implements `Run.to_xarray`."""
+    """Return the rows of a table topic as an `xarray.Dataset`; implements `Run.to_xarray`, with its errors."""
     xarray = extras.load("xarray", "to_xarray()", "tables")
     columns = complete(batches(run, topic))
     described = _described(run, topic)

@@ -132,7 +132,7 @@ class TopicDescription:
         )
 
     def schema_bytes(self) -> bytes:
-        """Return the schema as bytes for a file: its text as UTF-8, or the bytes of a schema that is not `ros2msg`."""
+        """Return the schema as bytes for a file: a `ros2msg` text as UTF-8, any other from its Latin-1 text."""
         return self.schema.encode(_SCHEMA_CODEC[self.schema_encoding == ENCODING][0])
 
 
@@ -141,7 +141,7 @@ def _profiles(text: str) -> tuple[QosYaml, ...]:
     """Return the QoS profiles in an untrusted YAML list, with the policies of `OfferedQos` only.
 
     Only the type of their values is checked. Policies with a value of a wrong type, and items that are no mappings, are
-    left out. The result is empty if the text is not a YAML list.
+    left out. The result is empty if the text is not a YAML list, or is longer than `MAX_QOS_CHARACTERS`.
     """
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)

@@ -35,7 +35,7 @@ _MESSAGE = struct.Struct("<IQQQ")  # sequence number, log time, publish time, le
 
 
 class Digests:
-    """Digests of the parts of one file: one for each topic, one for all attachments and one for all metadata records.
+    """BLAKE2b digests of one file: one for each topic, one for all attachments and one for all metadata records.
 
     The writer of a file adds everything that it writes. A program that checks the file adds everything that it reads,
     and compares: equal content in equal order gives equal digests.

@@ -435,7 +435,8 @@ class Run:
 
         Returns:
             One variable per column of the tables, with unit and description, where known, as attributes. The
-            coordinates are `time`, `timestamp` and `earlier`, as in `to_dataframe`.
+            coordinates are `time`, `timestamp` and `earlier` (published before the recording began), as in
+            `to_dataframe`.
 
         Raises:
             RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk
@@ -1042,7 +1043,7 @@ def parse_summary(section: memoryview) -> Summary:
         ("message definitions", len(found.schemas), statistics.schema_count),
     ):
         if listed < count:
-            raise DamageError(f"its index lists {listed} of {count} {what}")
+            raise DamageError(f"its index lists {listed} of the {count} {what} that its statistics count")
     _refuse_shared_bytes(chunks)
     return found
 

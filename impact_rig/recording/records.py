@@ -274,7 +274,7 @@ def _unlz4(data: Bytes, size: int) -> Bytes:
     except (RuntimeError, ValueError, EOFError) as error:
         raise DamageError(f"a chunk cannot be decompressed: {error}") from error
     if len(content) > size or not decompressor.eof:
-        raise DamageError(f"a chunk cannot be decompressed: its lz4 frame does not end after {size} bytes")
+        raise DamageError(f"a chunk cannot be decompressed: its lz4 frame is cut off or exceeds {size} bytes")
     return content
 
 

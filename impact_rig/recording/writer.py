@@ -203,8 +203,9 @@ class RunWriter:
     ) -> None:
         """Record one message, with the rig time of its reception as its log time.
 
-        Messages before the first scan wait in memory, because the scan defines their log time. If no scan arrives, they
-        are written by `finish`, or as soon as too many of them wait.
+        Messages before the first scan wait in memory, because the scan defines their log time. If no scan arrives,
+        `finish` writes them, or `write` if too many wait. Their log time is then the newest of their header stamps or,
+        if none has a stamp, their publish time.
 
         Args:
             topic_name: name of a registered topic.
@@ -847,7 +848,11 @@ def _length(record: McapRecord) -> int:
 
 
 def _create(path: Path) -> int:
-    """Create a file, lock it and return its descriptor; the lock shows readers that this process still writes it."""
+    """Create a file, lock it and return its descriptor; the lock shows readers that this process still writes it.
+
+    Raises:
+        RecordingError: the file exists, or cannot be created.
+    """
     try:
         fd = os.open(path, NEW_FILE, 0o644)
     except FileExistsError as error:

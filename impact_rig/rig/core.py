@@ -565,7 +565,8 @@ class Rig:
             The new configuration.
 
         Raises:
-            ConfigError: unknown key, bad value, bad combination, or a value fixed at start; nothing is changed.
+            ConfigError: unknown key, bad value, bad combination, or a value fixed at start (`daq.rate_hz`,
+                `daq.block_scans` and which instruments are present); nothing is changed.
         """
         config = from_flat(self.config, changes)
         changed = differences(config, self.config)
@@ -582,7 +583,8 @@ class Rig:
             changed: the values in which it differs from the present configuration, by full name.
 
         Raises:
-            ConfigError: the values contradict each other, or cannot be simulated together; nothing is changed.
+            ConfigError: the values contradict each other or cannot be simulated together, or change the scan rate or
+                which instruments are present; nothing is changed.
         """
         mechanics = attrs.evolve(config, drive=self._drive)
         instruments = until_reset(self._chain.config, config)

@@ -82,7 +82,7 @@ class JournalEntry:
     """Entry of a journal: one input that changed the rig, or a result that a re-simulation must reproduce.
 
     The members `name` to `fault` depend on the kind, and `kind.doc` says what they mean. Members that a kind does not
-    use are empty.
+    use are empty; an empty `value` or `fault` is None.
 
     Attributes:
         sequence: number of the entry, from 0 at `start` or `reset`.
@@ -295,7 +295,7 @@ class JournalView:
         self.plucked = False
 
     def follow(self, entry: JournalEntry) -> None:
-        """Update this state by the next entry of the rig's journal."""
+        """Update the attributes of this object by the next entry of the rig's journal."""
         if entry.kind in BEGINNINGS:
             self.start_ns, self.latched, self.plucked = entry.stamp_ns, None, False
             self.configuration, self.drive = dict(_DEFAULTS), {}

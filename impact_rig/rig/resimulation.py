@@ -68,6 +68,7 @@ def resimulate(journal: Iterable[JournalEntry], waveform: Sequence[Sent] = ()) -
         ConfigError: the journal is incomplete or does not fit this version, or `waveform` lacks a sample that took
             effect; the message says why.
         CommandError: the rig rejects an input of the journal.
+        SimulationError: the motion cannot be simulated.
     """
     yield from Resimulation(journal, waveform=waveform).blocks
 
@@ -139,7 +140,7 @@ class RecordedSamples(Buffer):
         return held
 
     def values(self, first: int, end: int) -> Samples:
-        """Return the recorded values of the samples first … end − 1; use only those for which `there` is True."""
+        """Return an array of the recorded values of samples first … end − 1; call `there` to learn which to use."""
         found: Samples = self._recorded[first:end]
         return found
 
@@ -164,7 +165,7 @@ class RecordedSamples(Buffer):
         return self._switches[at] if at < len(self._switches) else None
 
     def clear(self) -> None:
-        """Do nothing: the recording keeps all samples, and the journal says which of them took effect."""
+        """Do nothing at a stop of the stream: the recording keeps all samples; the journal says which took effect."""
 
 
 class Resimulation:

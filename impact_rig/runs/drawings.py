@@ -60,7 +60,7 @@ def prepare(directory: Path, formats: Sequence[str], names: Sequence[str] = NAME
     wanted = [directory / f"{name}.{kind}" for name in names for kind in formats]
     there = [path for path in wanted if path.exists()]
     if there:
-        raise RecordingError(f"{there[0]} exists already and is not overwritten; choose another directory")
+        raise RecordingError(f"the figure {there[0]} exists already and is not overwritten; choose another directory")
 
 
 def draw(

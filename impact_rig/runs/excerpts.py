@@ -218,7 +218,8 @@ def response_of(
     except ValueError as error:  # ConfigError is one
         seconds = len(excerpt.rows) / excerpt.rate_hz
         raise RecordingError(
-            f"{run.path}: its last {seconds:g} s give no frequency response of base (x) and laser (y): {error}"
+            f"{run.path}: its last contiguous scans ({seconds:g} s) give no frequency response of base (x) and laser "
+            f"(y): {error}"
         ) from error
     if not np.any(np.nan_to_num(found.coherence[found.excited]) >= COHERENT):
         raise RecordingError(

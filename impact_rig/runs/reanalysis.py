@@ -459,7 +459,10 @@ def _recorded(run: Run) -> tuple[list[tuple[int, int]], list[Table]]:
 
 
 def _plotted(run: Run, live: Sequence[_Row]) -> Compared:
-    """Compare the values on the topic `transmissibility` with the settled live rows from which they were made."""
+    """Compare the values on the topic `transmissibility` with the settled live rows from which they were made.
+
+    The values must be equal. At each end of the recording, one of the two may lack up to `EDGE` of them.
+    """
     name = topics.TRANSMISSIBILITY.name
     if not run.holds(name):
         return Compared(name, left_out="it is not in this run")

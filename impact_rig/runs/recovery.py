@@ -128,7 +128,7 @@ class DamagedFile:
         return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
-        """Yield the valid records of the data section in file order, and the damaged parts between them.
+        """Yield the positions of the valid records of the data section, and the damaged parts between, in file order.
 
         The iteration ends at the DataEnd record, which is not yielded, or without one at the end of the file.
         """
@@ -282,7 +282,7 @@ class FileReport:
     _found: Extent = attrs.field(factory=Extent)
 
     def count(self, topic: TopicDescription, message: RawMessage) -> None:
-        """Count a recovered message."""
+        """Count a recovered message, and its scans if it is a block of scans."""
         self._found.add(message.log_time)
         if prefix_of(topic.name, topics.SCAN) is not None:
             with contextlib.suppress(CodecError):
@@ -290,7 +290,7 @@ class FileReport:
 
     @property
     def messages(self) -> int:
-        """Number of recovered messages."""
+        """Number of messages recovered from the file and its tail."""
         return self._found.count
 
     @property
@@ -307,8 +307,8 @@ class FileReport:
     def missing_s(self) -> float | None:
         """Duration of the scans that are missing before, between and after the recovered ones [s of rig time].
 
-        Before and after, the duration follows from the first and last log time in the index, which are rig time. The
-        result is None without an index.
+        Before and after, the duration follows from the first and last log time in the index, which are rig time.
+        Gaps between recovered scans count as 0 if the scan rate is unknown. The result is None without an index.
         """
         if self.expected is None:
             return None
@@ -337,7 +337,7 @@ class RecoverReport:
 
     @property
     def chunks(self) -> int:
-        """Number of intact chunks from which messages were recovered."""
+        """Number of intact chunks from which messages were recovered, in all files and their tails."""
         return sum(file.chunks for file in self.files)
 
     @property
@@ -409,7 +409,7 @@ class Recovered:
         return self.damages > 0 or bool(self.missing_messages)
 
     def to_record(self) -> dict[str, str]:
-        """Return these losses as the content of the metadata record `RECORD_NAME`."""
+        """Return the content of the metadata record `RECORD_NAME`: each attribute of these losses as text, by name."""
         missing = "" if self.missing_messages is None else self.missing_messages
         content = {**attrs.asdict(self), "missing_messages": missing, "unfinished": int(self.unfinished)}
         return {name: str(value) for name, value in content.items()}
@@ -681,7 +681,7 @@ class _Salvage:
             yield from self._open_chunk(last, newest)
 
     def _open_chunk(self, last: int, newest: Set[_Key]) -> Iterator[tuple[TopicDescription, records.RawMessage]]:
-        """Yield the messages of the tail, unless the recording contains them already.
+        """Yield the messages of all intact chunks of the tail, unless the recording contains them already.
 
         The tail is a file next to the recording (`*.mcap.tail`) with the messages of the chunk that was open. If that
         chunk was completed, the last intact chunk of the recording has the same messages. The tail states the size of
@@ -756,6 +756,10 @@ class _Salvage:
 
         A message that its recorder compressed is decompressed. Messages of unknown channels are left out; the report
         lists them as a damage at `found`.
+
+        Raises:
+            DamageError: a message cannot be decompressed; `_messages` then leaves out the whole chunk.
+            BudgetError: a message exceeds a limit.
         """
         unknown = 0
         for message in records.messages(content, None):

@@ -58,7 +58,8 @@ class Checksums:
     def __str__(self) -> str:
         """Return a clause for the verdict of `info`, which uses it if no checksum was wrong.
 
-        It is `every checksum fits`, or says how many chunks and attachments carry a checksum.
+        It is `every checksum fits`, or says that the messages carry no checksums, how many chunks carry one, or how
+        many attachments carry none.
         """
         parts = self.chunks + self.outside
         checked = self.checked_chunks + self.checked_outside

@@ -526,7 +526,10 @@ class _Recorded:
             yield self.coming[0]
 
     def compare(self, content: Any) -> None:
-        """Compare the next recorded message with re-simulated content; None means that there should be no message."""
+        """Compare the next recorded message, which must exist, with re-simulated content.
+
+        The content None means that no message should have been recorded.
+        """
         assert self.coming is not None
         stamp, recorded = self.coming
         difference = "" if content is None else self._differ(recorded, content)

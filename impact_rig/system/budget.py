@@ -106,7 +106,9 @@ def raised(limit: int) -> int:
 
 @attrs.define
 class ReadBudget:
-    """Sums of the decompressed bytes and records in one pass through the chunks of a recording, with their limits.
+    """Sums of the decompressed bytes and records in one pass through the chunks of a recording.
+
+    A sum above its limit raises a `BudgetError`.
 
     Attributes:
         size: size of the recording's files [bytes]; the limits of the sums grow in proportion to it.

@@ -43,7 +43,8 @@ def load_ros(module: str, purpose: str) -> Any:
         purpose: feature that needs ROS 2, with which the message begins.
 
     Raises:
-        ImpactRigError: ROS 2 is not installed; the message has the commands that provide it.
+        ImpactRigError: ROS 2, or another library that the module imports, is not installed; the message has the
+            commands that provide ROS 2.
     """
     remedy = "pip install 'impact_rig[wheels]', or, where apt installed it, source /opt/ros/jazzy/setup.bash"
     return _load(module, f"{purpose} needs ROS 2 Jazzy ({{error}}): {remedy}")

@@ -116,7 +116,7 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report.
 
-    Runs of an earlier failure of the test are deleted.
+    The directories are below that of the option `--rig-runs`. Runs of an earlier failure of the test are deleted.
     """
     report = yield
     rigs = item.stash.get(_RIGS, [])

@@ -246,7 +246,8 @@ class LocalRigWithNodes(LocalRig):
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
         """Advance rig time by whole blocks; before and after each, run the callbacks of hosted nodes that are due.
 
-        An exception of a callback ends the call; a callback that does not return raises `BlockedError`.
+        An exception of a callback ends the call; a callback that does not return raises `BlockedError`. `timeout_s` is
+        ignored, as by a `LocalRig`.
         """
         if not self._hosted:
             super().step(blocks, timeout_s)
@@ -260,7 +261,8 @@ class LocalRigWithNodes(LocalRig):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values of the rig by full name, and return the new configuration.
 
-        Hosted nodes receive the monitor topics according to the new configuration.
+        The values apply from the same scan as in `LocalRig.configure`. Hosted nodes receive the monitor topics
+        according to the new configuration.
 
         Raises:
             ConfigError: a key is unknown, or a value is invalid or fixed at the start; nothing is changed.
@@ -312,7 +314,7 @@ class LocalRigWithNodes(LocalRig):
     def calm(self) -> None:
         """End all disturbances: step until no source is held or preferred, and cancel duplicates and losses to come.
 
-        Actions that `after` has planned are done at once.
+        Actions that `after` has planned and that are still to come are done at the end of the call.
         """
         while any(until > self._time_ns for until in (*self._held.values(), *self._first.values())):
             self.step()

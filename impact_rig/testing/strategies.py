@@ -57,7 +57,7 @@ class Command:
     current_a: float | None = None
 
     def do(self, rig: RigDriver) -> None:
-        """Send the command to the rig."""
+        """Send the command to the rig, and return when the rig has accepted it."""
         rig.command(self.frequency_hz, self.current_a)
 
 
@@ -163,7 +163,7 @@ class Delay:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Hold the callbacks of `source` back for `blocks` blocks."""
+        """Hold the callbacks of `source` back during the next `blocks` blocks, without advancing the rig."""
         with_nodes(rig).hold(self.source, self.blocks)
 
 
@@ -175,7 +175,7 @@ class First:
     blocks: int = 1
 
     def do(self, rig: RigDriver) -> None:
-        """Run the callbacks of `source` before all others for `blocks` blocks."""
+        """Prefer the callbacks of `source` to all others during the next `blocks` blocks, without advancing the rig."""
         with_nodes(rig).prefer(self.source, self.blocks)
 
 
@@ -186,7 +186,7 @@ class Burst:
     blocks: int = 2
 
     def do(self, rig: RigDriver) -> None:
-        """Hold the callbacks of all messages and timers back for `blocks` blocks."""
+        """Hold back the callbacks of all messages and timers in the next `blocks` blocks, without advancing the rig."""
         for source in ("messages", "timers"):
             with_nodes(rig).hold(source, self.blocks)
 
@@ -259,7 +259,7 @@ class Call:
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Call the service of the nodes after `after` further callbacks of all hosted nodes."""
+        """Call the service of the nodes after `after` further callbacks of all hosted nodes; ignore its responses."""
         with_nodes(rig).after(self.after, lambda: with_nodes(rig).call(self.service))
 
 

@@ -123,7 +123,7 @@ def mapping(key: str, value: object) -> dict[str, object]:
 def values(key: str, value: object) -> list[object]:
     """Return the values of a list, of a range `{from: a, to: b, step: s}`, or a single value as a list of length 1.
 
-    A range begins with `from`, and includes `to` if that is a whole number of steps away.
+    A range ascends from `from`, and includes `to` if that is a whole number of steps away.
 
     Raises:
         ConfigError: there are no or more than `MAX_VALUES` values, one occurs twice, or the range is invalid.
@@ -216,6 +216,8 @@ def rig(top: Mapping[str, object], folder: Path, refuse: Callable[[str, str], No
 
 def settings(key: str, given: object, kind: type[S]) -> S:
     """Return an object of the class `kind` with the settings `given` in a file under `key`; the rest are defaults.
+
+    If `given` is None, all are defaults.
 
     Raises:
         ConfigError: a key or value is wrong.

@@ -154,7 +154,9 @@ class _Made(Generic[R]):
 
 
 def cluster_threads(address: str) -> int:
-    """Return the number of worker threads of a Dask cluster; `UNLIMITED` if it has none yet, since they may still join.
+    """Return the number of worker threads of a Dask cluster, to estimate a computing time.
+
+    It is `UNLIMITED` if the cluster has none yet, since they may still join.
 
     Raises:
         ConfigError: Dask is not installed.
@@ -172,7 +174,9 @@ def _connected(address: str) -> Any:
     try:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise ImpactRigError(f"cannot reach a Dask scheduler at {address}: {error}") from error
+        raise ImpactRigError(
+            f"cannot reach a Dask scheduler at {address}: {error}; start it, or correct the address of --through dask"
+        ) from error
 
 
 def _make(work: Callable[[P], R], job: P, code: str) -> _Made[R]:

@@ -182,8 +182,8 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 class Curves:
     """Settled points of the reference rig by gap [m] and frequency [Hz]; one point for each gap and frequency.
 
-    Points of sweeps without a reset are left out. If several studies have a settled point with the same gap and
-    frequency, that of the first one is kept.
+    The reference rig is that of the campaign's first job (`Campaign.reference`). Points of sweeps without a reset are
+    left out. If several studies have a settled point with the same gap and frequency, that of the first one is kept.
     """
 
     by_gap: Mapping[float, Mapping[float, Point]]

@@ -145,7 +145,8 @@ class Store:
 
         Raises:
             FileNotFoundError: the job has no file.
-            DamagedPointError: the file is damaged, or the job asks for a trace and a stored one is damaged or lost.
+            DamagedPointError: the file is damaged, or the job asks for a trace and the one stored with it is damaged or
+                lost. If none was stored, the trace is empty.
         """
         path = self._path(job, "json")
         try:
@@ -221,7 +222,7 @@ class Store:
 class _Checked:
     """Validator of an untrusted JSON object: its methods raise DamagedPointError for missing and invalid values.
 
-    `place` is the position of the object in the file, for messages, such as `rows[0].`.
+    Unknown fields are ignored. `place` is the position of the object in the file, for messages, such as `rows[0].`.
     """
 
     def __init__(self, path: Path, content: Mapping[str, object], place: str = "") -> None:
@@ -319,8 +320,8 @@ def _column(member: bytes) -> NDArray[np.generic]:
     rest = len(member) - file.tell()
     if len(shape) != 1 or dtype.kind != "f" or shape[0] * dtype.itemsize != rest:
         raise ValueError(
-            f"a column must be a one-dimensional array of floating-point numbers with {rest} bytes of data, got "
-            f"{dtype} of shape {shape}"
+            f"each column in the file must be a one-dimensional array of floating-point numbers filling {rest} bytes, "
+            f"got {dtype} of shape {shape}"
         )
     return np.frombuffer(member, dtype, offset=file.tell())
 

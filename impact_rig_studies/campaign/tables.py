@@ -60,8 +60,8 @@ def to_xarray(
     Args:
         names: names of the columns.
         rows: rows of the table.
-        grid: columns that become the dimensions, with at most one row per combination of their values; empty means
-            that the only dimension is `row`.
+        grid: columns that become the dimensions; of several rows with the same values there, the last is used. Empty
+            means that the only dimension is `row`.
         coordinates: columns that become coordinates along `row`, if the table has them; ignored if there is a grid.
 
     Raises:

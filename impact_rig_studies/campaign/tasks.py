@@ -60,7 +60,7 @@ class WorkItem(Protocol):
 
 @attrs.frozen
 class HashedTask:
-    """Base class of tasks whose result depends on the values of their attributes alone."""
+    """Base class of tasks whose result depends on their attributes alone, so `key` is a digest of only these."""
 
     @property
     def key(self) -> str:
@@ -134,7 +134,7 @@ class TaskStore(Generic[T]):
         return load_config(self.directory / CONFIGURATION_FILE)
 
     def code(self) -> str:
-        """Return the fingerprint of the code that determines the results of this study; other code has another one."""
+        """Return the package's version and a digest of its own sources that determine the results of this study."""
         return code_fingerprint((*DECIDING, *self.rooms))
 
     def get(self, task: T) -> Sequence[Row] | None:

@@ -39,7 +39,8 @@ def run_campaign(arguments: argparse.Namespace) -> int:
     """Measure the missing jobs of a campaign file, write and print all results, and return the exit code.
 
     The code is 1 if `--check` is given and a point failed, a statement failed, or the reductions differ from the
-    paper's by more than the limits; else 0. Statements that cannot be judged do not count.
+    paper's by more than `POINTS_LIMIT` or `RMS_LIMIT` of `paper`; else 0. Statements that cannot be judged do not
+    count.
     """
     file, directory, way, address = tasks.words(arguments, "campaign", "campaign config/paper.yaml", WAYS)
     overrides = {"daq.seed": arguments.seed, "daq.rate_hz": arguments.scan_rate}
@@ -128,7 +129,7 @@ def _measure(jobs: list[Job], store: Store, runner: run.Runner) -> None:
 def _print_reductions(console: Console, done: run.Finished) -> bool:
     """Print the reductions next to the paper's, and return whether all measured ones are within the limits.
 
-    The result is true if none was measured.
+    The limits are `paper.POINTS_LIMIT` and `paper.RMS_LIMIT`. The result is true if none was measured.
     """
     reductions = done.reductions()
     if not reductions.percent():

@@ -59,6 +59,9 @@ def _results(arguments: argparse.Namespace) -> Iterator[Path]:
     """Create and yield the directory of a test's results, before the test: if it cannot be written, no time is lost.
 
     If the test fails without a file in it, a new directory is removed again.
+
+    Raises:
+        ImpactRigError: the directory is not empty, or cannot be written.
     """
     directory = run_directory(arguments.output, arguments.test)
 
@@ -216,7 +219,7 @@ def run_backbone(arguments: argparse.Namespace) -> int:
     config, gap_m = rig_of(arguments)
     currents = tuple(arguments.currents)
     if list(currents) != sorted(set(currents)) or currents[0] <= 0.0:
-        raise ConfigError(f"--currents must be > 0 A and strictly ascending, got {' '.join(map(str, currents))}")
+        raise ConfigError(f"--currents must be > 0 and strictly ascending, got {' '.join(map(str, currents))}")
     plan = LockPlan(start_hz=arguments.start, current_a=currents[0], reference=arguments.reference)
     with _results(arguments) as directory:
         with _open(arguments.through, with_short_blocks(config)) as rig:

@@ -56,7 +56,7 @@ JSON_FILE, CONFIGURATION_FILE = "identification.json", "identified.yaml"
 
 
 def run_identify(arguments: argparse.Namespace) -> int:
-    """Fit constants to a campaign or to the paper's reductions, print them, and return the exit code, 0.
+    """Fit constants to a campaign or to the paper's reductions of DT, print them, and return the exit code, 0.
 
     The results of a campaign are written into its directory. The configuration with the constants is written only if
     the data determine all of them and the model explains the data; otherwise that of an earlier fit is removed, so that
@@ -123,9 +123,11 @@ def _check_combination(arguments: argparse.Namespace) -> None:
         "--e-uncertainty": arguments.e_uncertainty != U_RESTITUTION,
     }
     if option := next((name for name, value in of_campaign.items() if value and arguments.paper), ""):
-        raise ConfigError(f"{option} applies only to a campaign, not to --paper: omit one of them")
+        raise ConfigError(
+            f"{option} applies only to a campaign, not to the fit of the paper's reductions (--paper): omit one of them"
+        )
     if arguments.config and not arguments.paper:
-        raise ConfigError("--config applies only to --paper, as a campaign has its own configuration: omit it")
+        raise ConfigError("--config applies only to --paper, as a fitted campaign has its own configuration: omit it")
     if arguments.rig and not arguments.decay:
         raise ConfigError("--rig applies only to the run of --decay: omit it, or add --decay RUN")
 
@@ -267,7 +269,7 @@ def identified_content(found: Identified) -> dict[str, object]:
     """Return the identified constants as data for JSON, with their combinations and alternatives.
 
     A combination is a product of powers of the constants, with its own uncertainty. An alternative is another
-    explanation of the same data.
+    explanation of the same data, with its probability.
     """
     information = found.information
     return {

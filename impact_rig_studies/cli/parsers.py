@@ -393,7 +393,11 @@ def _add_signal(parser: argparse.ArgumentParser, channel: str) -> None:
         "current or the replicated motion)",
     )
     parser.add_argument(
-        "--scale", type=float, default=1.0, metavar="X", help="factor by which the values are multiplied (default: 1)"
+        "--scale",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="factor by which the values are multiplied, in addition to the conversion of their unit (default: 1)",
     )
     parser.add_argument(
         "--file-rate",
@@ -413,7 +417,8 @@ def _add_stream_options(parser: argparse.ArgumentParser, test: str, rate_hz: int
         type=int,
         default=rate_hz,
         metavar="HZ",
-        help=f"scans per second, and samples per second of the drive (default: {rate_hz})",
+        help="scans per second, and samples per second of the drive; for a running rig, state its rate (default: "
+        f"{rate_hz})",
     )
     parser.add_argument(
         "--abort",
@@ -520,8 +525,8 @@ def _add_backbone(tests: Commands) -> None:
         nargs="+",
         required=True,
         metavar="A",
-        help="peak coil currents in A, above 0 and in ascending order, e.g. 0.1 0.2 0.4; they are measured upwards and "
-        "then downwards, the largest once (required)",
+        help="peak amplitudes of the drive in A (m or V by drive.kind), above 0 and in ascending order, e.g. 0.1 0.2 "
+        "0.4; they are measured upwards and then downwards, the largest once (required)",
     )
     _add_search(parser)
     _add_sine_options(parser, "backbone")
@@ -642,7 +647,7 @@ def add_map(commands: Commands) -> None:
     parser.add_argument(
         "--exponent",
         action="store_true",
-        help="compute the largest Lyapunov exponent of every motion that is not periodic, for the JSON and the table; "
+        help="compute the largest Lyapunov exponent of every motion that is not periodic, for the table map.csv; "
         "only for a map whose direction is reset",
     )
 

@@ -65,7 +65,10 @@ def words(
     if file is None:
         raise ConfigError(f"a {what} file is needed, e.g. impact-rig {example}")
     if rest:
-        raise ConfigError(f"unexpected {' '.join(rest)!r} after --through {way}; use the form impact-rig {example}")
+        raise ConfigError(
+            f"unexpected {' '.join(rest)!r} after --through {way}, where only the address for dask and one file may "
+            f"stand; use the form impact-rig {example}"
+        )
     if arguments.workers is not None and arguments.workers < 1:
         raise ConfigError(f"--workers must be >= 1, got {arguments.workers}")
     return file, (arguments.output or Path("runs") / f"{what}_{file.stem}").resolve(), way, address

@@ -142,7 +142,7 @@ def _basin(panes: Sequence[Axes], plan: Plan, found: Found) -> None:
 def motion(plan: Plan, row: Row) -> str:
     """Return the legend text of the motion to which one start of a basin study leads.
 
-    It is "no impacts", the rounded DT of a periodic motion, or the regime of any other motion.
+    It is "no impacts", the rounded DT of a periodic motion, or the regime of any other (`failed` if not simulated).
     """
     cell = dict(zip(plan.columns, row, strict=True))
     if not cell["impacts_per_cycle"]:

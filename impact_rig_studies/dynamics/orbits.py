@@ -308,7 +308,7 @@ def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str
 
 
 def _product(one: Orbit, value: float) -> float:
-    """Return Π (multiplier − value) over all multipliers of an orbit.
+    """Return Π (multiplier − value) over all multipliers of an orbit, the test of `SYMMETRY` (1) and `FLIP` (−1).
 
     It is real, and its sign differs between two orbits if one real multiplier has passed `value` between them.
     """

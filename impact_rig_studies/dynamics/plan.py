@@ -257,7 +257,7 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
 def finished(plan: Plan, directory: str | Path) -> FinishedStudy:
     """Return a planned study with the results that its output directory already contains, possibly none.
 
-    Results of other code are left out.
+    Damaged results, and those of other code, are left out.
     """
     kept = store(directory)
     return FinishedStudy(plan, [(task, kept.get(task) or []) for task in plan.tasks])

@@ -51,7 +51,7 @@ _FINE = 64  # equal parts of a cycle, of which those with a contact exclude a se
 
 
 class Place(NamedTuple):
-    """Point of parameter space: the configuration of a rig, with frequency and amplitude of its sine drive."""
+    """Point of parameter space: configuration of a rig, frequency and amplitude (A, m or V) of its sine drive."""
 
     config: RigConfig
     frequency_hz: float  # frequency of the drive
@@ -98,7 +98,7 @@ class OrbitSummary(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Derivatives of the transmissibility on an orbit with respect to parameters of the rig, for a fit."""
+    """Derivatives of ln DT (DT: transmissibility) on an orbit by parameters of the rig, and the orbit's stability."""
 
     by: Real  # derivatives of ln(|X_1| / |X_b|) of the fundamentals by each parameter, shape (number of parameters,)
     stable: bool  # whether all multipliers of the orbit are inside the unit circle
@@ -339,8 +339,8 @@ class Stroboscope:
             count: number of parameters.
 
         Returns:
-            None if a disturbed motion has another number of impacts or cannot be simulated, or if the sphere is in
-            contact with a wall at the section.
+            The derivatives and whether the orbit is stable. None if a disturbed motion has another number of impacts or
+            cannot be simulated, or if the sphere is in contact with a wall at the section.
         """
         place, model = self._found(p)
         here, impacts = self._returned(z, place, model)

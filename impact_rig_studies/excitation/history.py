@@ -82,8 +82,8 @@ class ReplicatePlan:
         identify_rms: rms of the drive while the response function is measured [A].
         identify_s: length of a frame of that measurement minus length of a trial without a burst [s]; four frames are
             played.
-        burst_s: duration of the burst before each trial [s], if equal trials differ without one; at most `identify_s`
-            is used.
+        burst_s: duration of the burst before each trial [s], at least 1; at most `identify_s` is used. There is a burst
+            only if equal trials differ without one.
         response: response that follows the history, one of `Response` except `BASE_ACCELERATION`, which has no sensor.
         seed: seed of the random phases of the drive while the response function is measured.
     """
@@ -159,7 +159,8 @@ def replicate(
 
     Yields:
         After each trial, the best result so far with the errors of all trials. The trials end when the error is small
-        enough or after the maximum number; without a burst they also end when corrections no longer reduce the error.
+        enough or after the maximum number. If no burst of drive precedes each trial (see `ReplicatePlan.burst_s`), they
+        also end when corrections no longer reduce the error.
         Then the best drive is repeated: the last result differs from the one before only in `repeated`.
 
     Raises:

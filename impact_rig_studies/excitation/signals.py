@@ -34,7 +34,8 @@ class Excitation:
     """Excitation signal for the measurement of a frequency response: frames of noise or chirps within a band.
 
     With the kind `burst_random` each frame has a new burst of noise, followed by silence. With `pseudo_random` one
-    frame of noise is repeated, with `chirp` one chirp from the lower to the upper edge of the band.
+    frame of noise is repeated, with `chirp` one chirp from the lower to the upper edge of the band. Each kind has the
+    level `rms`.
     """
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # kind of signal, one of `KINDS`

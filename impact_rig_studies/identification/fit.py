@@ -329,8 +329,8 @@ def _with_estimates(measured: Measured, start: Real) -> Real:
 def _damping(bent: Real) -> Real:
     """Return additional rows for the matrix of derivatives, which keep undetermined constants near their values.
 
-    Their shape is (7, 7 + k), for 7 constants and k nuisance parameters. `bent` are the derivatives of the residuals by
-    the nuisance parameters, shape (m, k).
+    Their shape is (7, 7 + k), for 7 constants and k nuisance parameters. Only k is taken from `bent`, the derivatives
+    of the residuals by the nuisance parameters, shape (m, k).
     """
     return np.eye(len(NAMES), len(NAMES) + bent.shape[1]) / UNBOUND
 
@@ -726,8 +726,8 @@ def _parts(density: Real) -> Iterator[slice]:
 def _linear(measured: Measured, known: RigConfig, theta: Real, nuisance: Real) -> tuple[Real, Real, Real]:
     """Return the whitened residuals of the data without the sphere and of the nuisance parameters' prior knowledge.
 
-    The second and third results are their derivatives by the log constants `theta` and by the nuisance parameters. The
-    shapes are (m,), (m, 7) and (m, 6).
+    The second and third results are their derivatives by the log constants `theta` (`NAMES`) and by the nuisance
+    parameters (`NUISANCES`). The shapes are (m,), (m, 7) and (m, 6).
     """
     residuals, rows, bends = [], [], []
     decay, sine, gains = measured.decay, measured.sine, measured.gains

@@ -58,7 +58,10 @@ GAIN_CURRENT = NUISANCES.index("gain current")
 
 @attrs.frozen(eq=False)
 class SineData:
-    """Stepped sine without the sphere at n points; x_1, x_b: displacements of superior and inferior base."""
+    """Amplitudes and phases of a stepped sine without the sphere at n points.
+
+    x_1 and x_b are the displacements of superior and inferior base.
+    """
 
     frequency_hz: Real  # drive frequency of each point, shape (n,), as all other fields
     dt: Real  # transmissibility |X_1 / X_b|
@@ -142,7 +145,7 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
     """Return the points of a frequency curve without the sphere as `SineData`, each the mean of its measurements.
 
     Only the phase is that of the first measurement. All `points` are used, so they must be settled. The uncertainties
-    of the amplitudes are those of noise alone, without the calibration errors `gains`.
+    of the amplitudes are those of noise alone: the part of the calibration errors `gains` is left out.
     """
     first = np.concatenate([point.rows[:1] for point in points])
     return SineData(
@@ -160,11 +163,11 @@ def sine_of(points: Sequence[Point], gains: Gains) -> SineData:
 def reduced_of(curves: Curves, frequency_hz: float, gaps_m: Sequence[float], gains: Gains) -> Reduced | None:
     """Return the ratios of DT with the sphere to DT without it, at one frequency, for the gaps that have a result.
 
-    Only gaps in `gaps_m` are used. Points at which the sphere did not strike (`Point.impacts`) are left out, as they
-    contain no information on it. If impacts were not counted, for lack of an accelerometer, the point is used. The
-    ratios are not corrected for `gains`, the calibration errors of the sensors; `effects` states how each acts on them.
-    The result is None if DT without the sphere was not measured at this frequency, or if no point with the sphere
-    remains.
+    Only points whose gap is exactly one of `gaps_m` are used. Points at which the sphere did not strike
+    (`Point.impacts`) are left out, as they contain no information on it. If impacts were not counted, for lack of an
+    accelerometer, the point is used. The ratios are not corrected for `gains`, the calibration errors of the sensors;
+    `effects` states how each acts on them. The result is None if DT without the sphere was not measured at this
+    frequency, or if no point with the sphere remains.
     """
     without = curves.at(NO_SPHERE, frequency_hz)
     at = [point for gap in gaps_m if (point := curves.at(gap, frequency_hz)) is not None]

@@ -49,7 +49,7 @@ fewer.
 
 
 class SettledMotion(NamedTuple):
-    """Settled motion of a simulated rig with its sphere: its effect on DT, and how it repeats."""
+    """Settled motion of a simulated rig with its sphere: ln(DT with the sphere / DT without), and how it repeats."""
 
     log_ratio: float  # ln(DT with sphere / DT without)
     u: float  # standard uncertainty of log_ratio as the mean of an irregular motion; 0 for a motion that repeats
@@ -76,8 +76,8 @@ CURRENT_DRIVE = "current"  # value of `drive.kind`
 def simulated(config: RigConfig, gap_m: float, frequency_hz: float, current_a: float) -> SettledMotion:
     """Simulate a rig with its sphere from rest until its motion has settled, and return this motion.
 
-    An irregular motion is averaged over many cycles, see `SettledMotion.u`. DT without the sphere, to which the result
-    relates DT, is computed in closed form. For the arguments see `place_of`.
+    DT of an irregular motion is a mean over many cycles, with the uncertainty `SettledMotion.u`. DT without the sphere,
+    the denominator in `log_ratio`, is computed in closed form. For the arguments see `place_of`.
 
     Raises:
         SimulationError: the motion cannot be simulated.

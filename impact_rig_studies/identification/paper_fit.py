@@ -138,6 +138,10 @@ def _reductions(base: RigConfig, at: Real) -> Real:
     Args:
         base: rig with all other values.
         at: logarithms of the values in `ALL`, among them the current.
+
+    Raises:
+        ConfigError: a value is out of its range.
+        SimulationError: a motion cannot be simulated.
     """
     config, current_a = rig(base, at[:-1]), float(np.exp(at[-1]))
     motions = [simulated(config, gap, FREQUENCY_HZ, current_a) for gap in REDUCTION_PERCENT]

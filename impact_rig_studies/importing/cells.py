@@ -106,7 +106,7 @@ def decimal_sign(columns: Sequence[Sequence[str]], delimiter: str | None) -> tup
     whole numbers without comma and point in the same column. If all of these are below 1000, the comma in `1,234`
     separates groups of digits. If one is above 999, the comma is the decimal sign. If commas separate the cells and no
     cell contains one, this is evidence of a point. Without evidence the decimal sign is a comma if cells contain commas
-    and no points, else a point. If the evidence is contradictory, it is a point.
+    and no points, else a point. Contradictory evidence counts as evidence of a point.
 
     Args:
         columns: cells of each column.
@@ -233,8 +233,8 @@ class Times:
     def _is_month_first(cells: Sequence[str]) -> bool:
         """Return whether dates such as 3/4/2026 begin with the month.
 
-        The first date with a number above 12 decides: they do if that is the second number. If neither number is ever
-        above 12, they do if the separator is a slash, as in the USA.
+        The first cell with a number above 12, or in another notation, decides: they do if its second number is above
+        12. Without such a cell, they do if a separator is a slash, as in the USA.
         """
         slash = False
         for cell in cells:

@@ -76,7 +76,7 @@ def signals_of(
 
     A two-dimensional column becomes as many signals as its shorter side is long, each with the values along the longer
     side. Columns that are not signals, such as texts or single values next to longer columns, are listed in `left_out`
-    of the result, with the reason for the user.
+    of the result, with the reason for the user. If no column is a signal, the result has no signals.
 
     Args:
         path: the file.

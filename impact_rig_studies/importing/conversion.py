@@ -79,8 +79,9 @@ def convert(
         source: content of the file.
         mapping: assignment of its signals to channels.
         drive: table of commands with the columns `time` or `stamp_ns`, `frequency` [Hz] and, if known, `current`
-            [A peak]. None means that the mapping states the frequency, or if it does not, that it is found in the data
-            (0 if they show none).
+            [A peak]. An amplitude that neither the table nor the mapping states is estimated from the data. None means
+            that the mapping states the frequency, or if it does not, that it is found in the data (0 if they show
+            none).
         sheet: table of calibration with columns of `daq/info`, one row per channel. The mapping takes precedence.
             Resolution and skew that neither states are estimated from the data; all other properties are ideal. A rate
             in the table is ignored.
@@ -265,7 +266,7 @@ def _same_steps(first: Abscissa, other: Abscissa, period: float, count: int) -> 
 
 
 def _scans(found: AnyMapping[str, Real], si_units: AnyMapping[str, str], info: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the values as rows of `daq/scan`.
+    """Return the values, which are in SI units, as rows of `daq/scan` with `time` 0.
 
     `status` has a bit for each reading that is at an end of its channel's range or outside of it.
     """
@@ -483,10 +484,11 @@ def _frequency_of(
 ) -> tuple[float, bool]:
     """Return the drive frequency [Hz] that the data show (0 if none), and whether they are a clear sine.
 
-    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`, in the end
-    (`FREQUENCY_S`) of its longest part without a missing value. Lines are compared as displacements. This raises the
-    noise of an accelerometer at low frequencies. Therefore lines clearly above the noise around them take precedence
-    over larger ones that are not. A clear sine has more power than the rest of the signal.
+    The frequency is that of the largest spectral line of the first measured channel in `REFERENCES`. Only the end of
+    its longest part without a missing value is used: `FREQUENCY_S` or `FREQUENCY_SCANS`, the longer. Lines are compared
+    as displacements. This raises the noise of an accelerometer at low frequencies. Therefore lines clearly above the
+    noise around them take precedence over larger ones that are not. A clear sine has more power than the rest of the
+    signal.
     """
     from scipy.ndimage import median_filter  # noqa: PLC0415  # heavy
 

@@ -110,7 +110,10 @@ def _not_negative(_mapping: object, _field: object, value: float | str | None) -
 
 @attrs.frozen(kw_only=True)
 class Mapping:
-    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap."""
+    """Meaning of an imported file: its signals' channels, the scan rate, the drive and the gap.
+
+    `guessed` names those of drive frequency and gap that come only from the name of the file.
+    """
 
     channels: AnyMapping[str, Channel]  # by name
     rate_hz: float | None = None  # rate that replaces the times in the file; None means that these count
@@ -138,7 +141,7 @@ def refined(mapping: Mapping, text: str) -> Mapping:
           laser: {column: ai0, unit: V, sensitivity: 500 mV/mm, sign: -1, sensitivity_uncertainty: 0.01}
 
     Raises:
-        ConfigError: the text is not plain YAML, or one of its keys or values is invalid.
+        ConfigError: the text is not plain YAML, or one of its keys or values is invalid, such as null for a number.
     """
     try:
         content = budget.load_yaml(text, MAPPING_CHARACTERS)

@@ -132,7 +132,10 @@ def _heads(found: ImportedRun) -> Iterator[tuple[topics.Topic, Table | bytes]]:
 
 
 def _blocks(found: ImportedRun) -> Iterator[Table]:
-    """Yield the scans in blocks of about 0.1 s, or one scan at low rates; a new block begins after missing scans."""
+    """Yield the scans in blocks of about 0.1 s; a new block begins after missing scans.
+
+    A block has at least one scan, and at most `BLOCK_SCANS`.
+    """
     length = max(1, min(BLOCK_SCANS, round(BLOCK_S * found.rate_hz)))
     cuts = [0, *(np.flatnonzero(np.diff(found.index) != 1) + 1).tolist(), len(found.index)]
     for first, end in itertools.pairwise(cuts):

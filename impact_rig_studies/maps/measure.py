@@ -225,7 +225,7 @@ class MapRig:
         return reading
 
     def _attempt(self, frequency_hz: float, amplitude: float) -> tuple[Reading, bool]:
-        """Continue the motion until it has settled or `settle_cycles` are over, and measure it.
+        """Continue the motion until it has settled or `settle_cycles` are over, then measure and classify it.
 
         Returns:
             The reading, and whether the motion is leaving an unstable periodic orbit. If it is, call again to continue:

@@ -126,7 +126,7 @@ def _reading(row: Row) -> Reading:
         raise ValueError(f"a stored reading must be a regime and {len(Reading._fields) - 1} numbers, got {row}")
     regime, *numbers = row
     if not (regime == FAILED or float(numbers[0]) > 0.0):
-        raise ValueError(f"the second value of a stored reading, DT, must be > 0, got {row}")
+        raise ValueError(f"DT, after the regime in a stored reading, must be > 0, got {row}")
     return Reading(str(regime), *map(float, numbers))
 
 
@@ -220,7 +220,10 @@ class MapPlan:
         )
 
     def lines(self) -> list[MapLine]:
-        """Return all lines of the map, layer by layer; each runs along the axis `sweep`."""
+        """Return all lines of the map, one of `layers` after the other; each line runs along the axis `sweep`.
+
+        A layer is a direction, or a start of the sphere.
+        """
         others = {name: values for name, values in self.axes.items() if name != self.sweep}
         return [
             self.line(self.sweep, self.axes[self.sweep], dict(zip(others, held, strict=True)), layer)
@@ -365,7 +368,9 @@ def refuse_owned(key: str, name: str) -> None:
     if name == "barriers.gap_m" and not key.startswith("set."):
         raise ConfigError(f"{key}: use gap_m instead of barriers.gap_m")
     if name == "drive.frequency_hz":
-        raise ConfigError(f"{key}: use {FREQUENCY} instead of {name}")
+        raise ConfigError(
+            f"{key}: use {FREQUENCY} instead of {name}; a fixed frequency is a key at the top level of the file"
+        )
     if name.startswith(OWNED):
         raise ConfigError(f"{key}: {name} has no effect on a map or dynamics study; remove it")
 

@@ -211,7 +211,7 @@ class PhaseLock:
         return self._setpoint()
 
     def set_current(self, current_a: float, now_ns: int) -> Setpoint:
-        """Continue at the present frequency with another peak current, and return the setpoint.
+        """Continue with tracking, or with an unfinished search, at another peak current, and return the setpoint.
 
         From `now_ns` on, the phase may take the plan's `lose_limit_s` to lock again, or `seek_limit_s` if it has never
         been locked; after that the lock is aborted. If the lock is not running, the setpoint has zero current.
@@ -259,7 +259,7 @@ class PhaseLock:
         return self._setpoint()
 
     def abort(self, reason: str) -> Setpoint:
-        """End a running lock as aborted, and return the setpoint with zero current.
+        """End the lock as aborted if it is running, and return the setpoint; its current is then zero in any case.
 
         Args:
             reason: reason for the user, which becomes `reason`.
@@ -302,7 +302,8 @@ class PhaseLock:
         """Return an estimate of resonance − present frequency [Hz], limited to ± one step of the search.
 
         Args:
-            turned: complex amplitude of the superior base over that of the reference.
+            turned: complex amplitude of the superior base over that of the reference; at the resonance its phase is
+                −90°.
         """
         if self._plan.reference == Reference.BASE:
             detuning = 0.5 * self.frequency_hz * (1.0 / turned).real
@@ -573,7 +574,7 @@ class LockLoop:
         """Advance the rig by the nearest number of blocks to some seconds, at least one, and return the sample in them.
 
         If there is no sample, the reason is returned as text for the user: why the shaker is stopped, or that the time
-        was too short.
+        was shorter than `MIN_CYCLES` drive cycles.
         """
         rig = self.rig
         rig.clear()
@@ -626,7 +627,7 @@ def run_phase_lock(plan: LockPlan, loop: LockLoop) -> PhaseLock:
 
 
 class Mean(NamedTuple):
-    """Resonance frequency and transmissibility as means over a time in which the phase was locked."""
+    """Mean resonance frequency and transmissibility while the phase was locked, with standard uncertainties."""
 
     frequency_hz: float  # resonance frequency
     u_frequency_hz: float
@@ -645,6 +646,7 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
     The detuning (resonance minus drive frequency f) of a sample is (f/2) Re(X_b/X_1), if the inferior base is the
     reference of the lock. Its mean is not added to the returned frequency, but is a part of the uncertainty. If the
     current is the reference, the same formula serves as an estimate; for the paper's rig it gives 60 % of the detuning.
+    The transmissibility is the ratio of the mean amplitudes.
 
     Args:
         rows: samples (`PHASE_LOCK`) while locked, shape (n,); the uncertainties are NaN for fewer than `FEWEST`.
@@ -665,7 +667,7 @@ def mean(rows: NDArray[np.void], u_gain: float) -> Mean:
 class AmplitudeSweep:
     """Plan of the measurement of a backbone curve: the resonance at ascending, then descending currents.
 
-    The highest current is measured once only.
+    The highest current is measured once only. The order of the currents is not checked here.
     """
 
     currents_a: tuple[float, ...]  # peak currents [A], ascending

@@ -80,8 +80,8 @@ class SweepPlan:
     measurements_per_point: int = integer(
         1,
         "-",
-        "Number of accepted measurements at each point: settled ones, and unless the node's parameter keep_unsettled "
-        "is false, also those that had not settled within the time limit of the analysis.",
+        "Number of accepted measurements at each point: settled ones, and unless keep_unsettled of the stepped-sine "
+        "node is false, also those that had not settled within the time limit of the analysis.",
         at_least=1,
         at_most=1000,
     )

@@ -120,7 +120,7 @@ class SteppedSine:
 
     @property
     def measured(self) -> int:
-        """Number of accepted measurements so far."""
+        """Number of accepted measurements so far, of which a point may have several (`measurements_per_point`)."""
         return len(self._rows)
 
     @property
@@ -310,8 +310,9 @@ class ControlledSine(SteppedSine):
     """State machine of a stepped sine whose current is corrected until a measured amplitude is near its target.
 
     At each point, the amplitude is accepted within the tolerance of `hold`, or after its maximum number of corrections.
-    Further measurements at the point are accepted without a correction. The sweep is aborted if the next current or the
-    measured superior base exceeds its limit in `hold`.
+    Further measurements at the point are accepted without a correction. The column `held` of `controlled` says which
+    measurements are within the tolerance. The sweep is aborted if the next current or the measured superior base
+    exceeds its limit in `hold`.
 
     Args:
         plan: points and limits of the sweep. Its current is the initial value at the first point; each later point
@@ -326,7 +327,7 @@ class ControlledSine(SteppedSine):
 
     @property
     def current_a(self) -> float:
-        """Commanded peak current [A] (m or V by `drive.kind`) of the present attempt at the present point.
+        """Commanded peak current [A] (m or V by `drive.kind`) at the present point, after its corrections so far.
 
         Before the start it is the current of the plan.
         """

@@ -108,14 +108,14 @@ class Content:
         self._tables: dict[str, object] = {}
 
     def fact(self, name: str, value: float | str, spec: str = "") -> str:
-        """Store under `name` a number or text that a sentence of the page shows; return it formatted by `spec`."""
+        """Store a number or text of the page under `name`, replacing an earlier one; return it formatted by `spec`."""
         self._facts[name] = value
         return format(value, spec)
 
     def table(
         self, name: str, headings: Sequence[str], rows: Iterable[Sequence[str | Cell]], numeric: Iterable[int] = ()
     ) -> Markup:
-        """Return a table as HTML for the page, and store its cells under `name`.
+        """Return a table as HTML for the page, and store its cells under `name`, replacing an earlier one.
 
         Columns whose indices are in `numeric` are right-aligned.
         """

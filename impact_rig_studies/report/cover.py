@@ -44,7 +44,10 @@ DIGITS = 12  # number of characters of a digest
 
 
 def opening(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the beginning of a campaign's report as HTML: title, origin of the results, key figures, explanation."""
+    """Yield the beginning of a campaign's report as HTML: title, origin of the results, key figures, explanation.
+
+    The origin consists of paper, configuration, seed, time and versions.
+    """
     yield title(done.campaign.title)
     yield paragraph("Report of a measurement on the virtual test rig of an impact damper", "muted")
     yield cover(_entries(done, content))

@@ -474,7 +474,7 @@ def draw_amplitudes(curves: Curves) -> Iterator[Drawn]:
 
 
 def draw_regimes(curves: Curves) -> Iterator[Drawn]:
-    """Draw, for each gap and frequency, the regime of the response and the number of impacts per cycle."""
+    """Draw the regime (periodic, modulated, chaotic, no impacts) and the impacts per cycle by gap and frequency."""
     cases = {gap: points for gap in REDUCTION_PERCENT if (points := curve(curves, gap))}
     if not cases:
         return

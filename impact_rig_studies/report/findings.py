@@ -69,7 +69,7 @@ def reductions_table(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def damper(done: Finished, content: Content) -> Iterator[Markup]:
-    """Yield the table of the sphere's added mass and loss factor by gap, as HTML.
+    """Yield the table of the sphere's added mass (in percent of m_1) and loss factor (in percent) by gap, as HTML.
 
     Both follow from DT with and without the sphere, at the frequency with measurements of the most gaps (of several,
     the one nearest to 9.1 Hz). Nothing is yielded if DT was not measured with and without the sphere at the same

@@ -141,7 +141,7 @@ def _edges(x: NDArray[np.float64]) -> NDArray[np.float64]:
 def _regimes(axis: Axes, x: NDArray[np.float64], y: NDArray[np.float64], groups: NDArray[np.int64]) -> None:
     """Fill the cells with the edges x and y with the colours of their classes `groups`, which the legend names.
 
-    `groups` has the shape (len(x) − 1, len(y) − 1).
+    `groups` is a result of `classes`, with the shape (len(x) − 1, len(y) − 1).
     """
     from matplotlib.colors import ListedColormap  # noqa: PLC0415  # only when something is drawn
 

@@ -111,7 +111,7 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
     """Return the content of the report of a run; `rig` is a namespace, needed only if the run has several rigs.
 
-    It contains the newest settled measurement at each gap and frequency.
+    It contains the newest settled measurement at each gap and frequency; if there is none, the last status instead.
 
     Raises:
         RecordingError: the run cannot be read or analysed.
@@ -332,8 +332,8 @@ def _uncertainty(row: NDArray[np.void], calibration: Calibration, content: Conte
 def degrees_of_freedom(found: Budget, row: np.void) -> tuple[float, float]:
     """Return the degrees of freedom of the type A part of an uncertainty, and the effective ones of the total.
 
-    The first ones are the number of batches or cycles minus 1. The effective ones are infinite if there is no part of
-    type A. `found` is the uncertainty budget of `row`, a measurement of `transmissibility/table`.
+    The first ones are the number of batches or cycles minus 1, even if there is no part of type A; the effective ones
+    are infinite then. `found` is the uncertainty budget of `row`, a measurement of `transmissibility/table`.
 
     Source: JCGM 100:2008 (GUM), G.4, with infinitely many for every part of type B.
     """
@@ -348,6 +348,9 @@ def _motion(run: Run, found: Sequence[Findings]) -> Iterator[Drawn]:
     """Yield drawings of the time traces and of the spectrum in the last settled measurement of a run.
 
     Without a settled one, they show the end of the run. `found` contains the findings of the analysis of the run.
+
+    Raises:
+        RecordingError: the run has no calibration, or too few contiguous scans to draw.
     """
     excerpt = last_excerpt(run, found)
     traced = excerpt.newest(TRACED_CYCLES)

@@ -142,7 +142,7 @@ def cover(entries: Iterable[tuple[str, str]]) -> Markup:
 
 @attrs.frozen
 class _Figure:
-    """Figure of a page as its template needs it."""
+    """Figure of a page as its template needs it: texts, drawing as inline SVG, and link to the CSV."""
 
     identifier: str
     name: str

@@ -261,7 +261,7 @@ def predicted(
 
 
 def reduction_over_gap(config: RigConfig, frequency_hz: float, current_a: float) -> Line | None:
-    """Return the predicted reduction of DT over the gap at one frequency and constant current.
+    """Return the predicted reduction of DT [%] over the gap [m] at one frequency and constant current.
 
     The prediction is that of stable motions with two impacts per cycle. It is None if this theory does not apply to the
     rig, or predicts such motions at fewer than two gaps.

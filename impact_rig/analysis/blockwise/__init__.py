@@ -96,7 +96,7 @@ class HighPass:
 
         Its single column `pulses` has the unit of the channel.
 
-        The filter starts as if the channel had always had its first value.
+        The filter starts as if the channel had always had its first value. It does not detect gaps: call `restart`.
         """
         values = scan.rows[self._channel]
         if self._state is None:
@@ -108,7 +108,7 @@ class HighPass:
 
 
 class Intervals:
-    """Division of a stream of blocks of any length into intervals of 20 ms (`INTERVALS_HZ`).
+    """Division of a stream of blocks of any length into intervals of 20 ms (`INTERVALS_HZ`), rounded to whole scans.
 
     Args:
         rate_hz: scans per second, from daq/info; below `INTERVALS_HZ` each interval is one scan.

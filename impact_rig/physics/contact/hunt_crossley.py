@@ -149,8 +149,8 @@ def _published(
 ) -> type[HystereticLaw]:
     """Return the class of a Hunt–Crossley law from its published formula: `factor` computes a from the nominal e.
 
-    The other arguments become class attributes, see `ContactLaw`; `returns` is the restitution that the law really
-    gives for a nominal restitution of 0.35.
+    The other arguments become class attributes, see `ContactLaw`. `returns` is the restitution that the law really
+    gives for a nominal restitution of 0.35. `adjustable` tells whether the law `exact` can replace this one.
     """
     row = {"name": name, "formula": formula, "returns": returns, "source": source, "adjustable": adjustable}
     law = type(name, (HystereticLaw,), {

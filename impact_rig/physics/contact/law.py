@@ -129,7 +129,11 @@ class ContactLaw:
     restitution: float = restitution()
 
     def force(self, pair: ContactPair) -> Force:
-        """Return the law's force function with its constants for the two bodies `pair`; every law defines this."""
+        """Return the law's force function with its constants for one pair of bodies; every law defines this.
+
+        Args:
+            pair: Hertz stiffness and effective mass of the two bodies.
+        """
         raise NotImplementedError
 
     def realised_restitution(self) -> float:
@@ -159,7 +163,10 @@ FORCE = Fields(CompiledForce, (AT_POINT, AT_STAGES))
 
 
 def at_point_of(force: Any) -> Any:
-    """Return a function that evaluates `force` for one w and δ' and stores the five results in the step's `point`."""
+    """Return a function that evaluates `force` for one w = √δ and δ' and stores the results in the step's `point`.
+
+    These are elastic and lossy part of F, stored energy, ∂F/∂w and ∂F/∂δ'.
+    """
 
     def at_point(p: Record, per_v0: float, turned_at: float, w: float, speed: float, step: Record) -> None:
         elastic, lossy, stored, by_w, by_speed = force(p.stiffness, p.factor, per_v0, turned_at, w, speed)
@@ -239,7 +246,7 @@ def _reported(force: ForceFunction, name: str) -> ForceFunction:
 
 
 def _finite(force: Any) -> Any:
-    """Return a function that calls the compiled `force`, and returns five NaN if the call raises an exception.
+    """Return a function that calls the compiled `force`; all results are NaN if the call raises an exception.
 
     NaN ends the contact without a solution, and the simulation then ends with a SimulationError.
     """

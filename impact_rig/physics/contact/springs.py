@@ -47,7 +47,10 @@ from impact_rig.physics.contact.law import ContactLaw, ContactPair, Force
 
 
 def contact_time_s() -> Any:
-    """Return a new attrs field for the setting `contact_time_s`: t_c [s], which gives linear laws their stiffness."""
+    """Return a new attrs field for the setting `contact_time_s`: t_c [s], which gives linear laws their stiffness.
+
+    It is 1 µs … 10 ms.
+    """
     return quantity(45e-6, "s", "Contact time that gives a linear law its stiffness.", at_least=1e-6, at_most=0.01)
 
 

@@ -40,7 +40,7 @@ def is_hdf5(content: bytes) -> bool:
 
 @attrs.define
 class Hdf5Tree:
-    """Reader of the groups and datasets of an HDF5 file, which also collects what is left out."""
+    """Reader of the groups and datasets of an HDF5 file, which also collects what is left out, such as links."""
 
     library: ModuleType  # h5py
     file_bytes: int  # size of the file, which limits how many values may be read

@@ -146,7 +146,10 @@ def read_lines(path: Path, lines: Sequence[str]) -> ImportedSignals:
 
 
 def _segments(lines: Sequence[str], at: int, separator: str) -> tuple[list[_Segment], dict[str, str]]:
-    """Return the segments in the lines of a file from index `at` on, and the reasons for parts left out, by name."""
+    """Return the segments in the lines of a file from index `at` on, and the reasons for parts left out, by name.
+
+    Segments without rows are skipped without a reason.
+    """
     segments: list[_Segment] = []
     left_out: dict[str, str] = {}
     while at < len(lines):

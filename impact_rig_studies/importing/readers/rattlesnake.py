@@ -57,7 +57,9 @@ def read(path: Path, content: bytes, library: ModuleType) -> ImportedSignals:
             raise RecordingError(f"{path} is not a file that Rattlesnake streamed: it has no {missing}")
         rate_hz = float(rate)
         if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-            raise RecordingError(f"{path}: its attribute sample_rate must be finite and > 0 Hz, got {rate_hz:g}")
+            raise RecordingError(
+                f"{path}: its attribute sample_rate must be finite and > 0 Hz, got {rate_hz:g}; correct it in the file"
+            )
         table = dict(tree.members(members["channels"])) if "channels" in members else {}
         longest = max(streams, key=lambda name: streams[name].shape[-1] if streams[name].shape else 0)
         signals: dict[str, Signal] = {}

@@ -109,7 +109,7 @@ def _add(
     names: UniqueNames,
     left_out: dict[str, str],
 ) -> None:
-    """Add a dataset of type 58 (a function) to `signals`, or to `left_out` with the reason.
+    """Add a dataset of type 58 to `signals` if it is a real time response, otherwise to `left_out` with the reason.
 
     `number` is its position in the file from 0, and `system` the unit of length for values without a unit.
     """

@@ -132,7 +132,7 @@ def test_timeouts_count_rig_time_and_report_the_active_faults() -> None:
     moved = rig.wait_until(lambda: np.abs(rig.rows()["laser"][500:]).max(initial=0) > 2e-3, "the structure to move")
     assert 0.05 < moved < 2.0
     with pytest.raises(
-        NotReachedError, match=r"timeout after 0.3 s of rig time: waiting for the moon .*faults: dropout on laser"
+        NotReachedError, match=r"timeout after 0.3 s of rig time: waiting for the moon .*so far: dropout on laser"
     ):
         rig.wait_until(lambda: False, "the moon", limit_s=0.3)
     assert rig.time_s == pytest.approx(moved + 0.3)
