@@ -244,8 +244,8 @@ class RigHistory:
     def part(self, start_ns: int) -> list[list[Any]]:
         """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
 
-        Kind, key and text are, for example, "parameter", the name and the value; "fault", "begins" and which fault;
-        or "note", "" and the remark.
+        Kind, key and text are, for example, "parameter", the name and the value. For a fault they are "fault", "begins"
+        and which fault, and for a remark "note", "" and the remark.
 
         If nothing is new, the result is the same object as before.
 

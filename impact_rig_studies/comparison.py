@@ -322,11 +322,11 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return where the scans of an excerpt are in `true` and `model`, and fill the column `time` of both.
+        """Return the places of an excerpt's scans in `true` and `model`, and fill the column `time` of both.
 
         The time is in seconds since the first scan of the run.
         """
-        # the time of an excerpt counts from the first scan, or from the first after the last reset
+        # the time of an excerpt counts from the first scan
         offsets = np.round((self.stamps - self.stamps[0]) / NS_PER_S * self.rate_hz)
         first = int(np.searchsorted(offsets, round(float(excerpt.rows["time"][0]) * self.rate_hz)))
         self.true["time"] = self.model["time"] = (self.stamps - self.stamps[0]) / NS_PER_S
