@@ -172,8 +172,8 @@ def refined(mapping: Mapping, text: str) -> Mapping:
     if "gap_mm" in given:
         changes["gap"] = 1e-3 * _number("gap_mm", given["gap_mm"])
     if "notes" in given:
-        notes = given["notes"]
-        changes["notes"] = tuple(map(_text, notes)) if isinstance(notes, list) else (_text(notes),)
+        notes = given["notes"] if isinstance(given["notes"], list) else [given["notes"]]
+        changes["notes"] = tuple(_text(one) for one in notes if one is not None)
     changes["guessed"] = mapping.guessed - {"gap" if key == "gap_mm" else key for key in given}
     return attrs.evolve(mapping, **changes)  # type: ignore[arg-type]  # checked above
 

@@ -26,7 +26,7 @@ from impact_rig.errors import ConfigError
 from impact_rig.rig.config import from_flat
 from impact_rig_studies import prediction
 from impact_rig_studies.dynamics.figures import label_of
-from impact_rig_studies.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, UP, MapPlan
+from impact_rig_studies.maps.plan import BOTH, CURRENT, DOWN, FREQUENCY, GAP, POSITION, SPEED, UP, MapPlan
 from impact_rig_studies.maps.run import FinishedMap
 
 if TYPE_CHECKING:
@@ -162,8 +162,10 @@ def _predicted(panes: Sequence[Axes], plan: MapPlan, page: float | None) -> None
         return
     frequencies = np.linspace(min(plan.axes[FREQUENCY]), max(plan.axes[FREQUENCY]), 60)
     config, current = plan.base, plan.current_a
-    if page is not None:
-        config, current = (config, page) if names[2] == CURRENT else (from_flat(config, {names[2]: page}), current)
+    if page is not None and names[2] == CURRENT:
+        current = page
+    elif page is not None and names[2] not in (POSITION, SPEED):  # on the start, a stable motion does not depend
+        config = from_flat(config, {names[2]: page})
     try:
         found = [prediction.branch(config, float(one), current_a=current) for one in frequencies]
     except ConfigError:

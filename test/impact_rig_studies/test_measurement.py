@@ -273,6 +273,11 @@ def test_an_invalid_measurement_is_rejected_with_the_reason(tmp_path: Path, text
         imported()
 
 
+@pytest.mark.parametrize(("text", "notes"), [("notes:", ()), ("notes: [a, null, 2]", ("a", "2")), ("notes: x", ("x",))])
+def test_a_note_without_a_text_is_no_remark(text: str, notes: tuple[str, ...]) -> None:
+    assert refined(Mapping(channels={}), text).notes == notes
+
+
 def test_scans_that_are_missing_stay_missing_and_uneven_ones_can_be_resampled(tmp_path: Path) -> None:
     source = table(tmp_path, lines(lambda k: f"{(k if k < 20 else k + 5) / 100},{k},{k}"))
     assert convert(source, guess(source)).index.tolist() == [*range(20), *range(25, 45)]

@@ -406,9 +406,9 @@ def test_motions_without_impacts_are_a_separate_class():
     assert classes(values).tolist() == [QUIET, 5]
 
 
-def test_a_map_with_three_axes_has_a_picture_per_value(tmp_path):
-    text = "axes: {gap_m: [0.01, 0.02], frequency_hz: [9.0, 9.1], current_a: [0.4, 0.52]}\n"
-    plan = load_map(written(tmp_path, text))
+@pytest.mark.parametrize("third", ["current_a: [0.4, 0.52]", "sphere_position_m: [0.0, 0.001]"])
+def test_a_map_with_three_axes_has_a_picture_per_value(tmp_path, third):
+    plan = load_map(written(tmp_path, f"axes: {{gap_m: [0.01, 0.02], frequency_hz: [9.0, 9.1], {third}}}\n"))
     assert plan.points == 8
     assert len(plan.lines()) == 4
     assert plan.sweep == "frequency_hz"
