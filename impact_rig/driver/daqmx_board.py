@@ -534,7 +534,8 @@ class Board:
     def stop(self, task: DaqmxTask) -> None:
         """Stop a task: its acquired samples are dropped, and its error is cleared.
 
-        An output that does not repeat its buffer loses the samples that are still to be played.
+        An output still plays what the rig has already received, at most `BUFFER_S`, then the drive ramps to zero. The
+        rest of its buffer is dropped, unless it is repeated.
         """
         self._end(task, State.IDLE)
         task.acquisition, task.error, task.passed = None, None, 0

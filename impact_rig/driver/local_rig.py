@@ -167,7 +167,8 @@ class LocalRig(RigDriver):
             chunk = self.core.blocks_with_samples(1 if one_by_one else min(blocks, BATCH_BLOCKS))
             if chunk == 0:
                 raise NoSamplesError(
-                    f"the drive stream lacks samples for the next block: {self.stream_level()}; feed more first"
+                    f"the drive stream lacks samples for the next block: {self.stream_level()}; the blocks before it "
+                    "are done: feed more, then step the others"
                 )
             blocks -= chunk
             found = self.core.advance(self.core.block_end_ns(chunk))

@@ -518,7 +518,7 @@ class Session:
         return now
 
     def refuse_backlog(self, sent_ns: int) -> None:
-        """Raise if a command was sent before this process resumed from a suspension: its sender has given up by now.
+        """Raise if a command was sent before this process, which had been stopped, ran again: its sender has given up.
 
         Args:
             sent_ns: time at which the command was sent, by the system clock of its sender [ns].
@@ -533,12 +533,13 @@ class Session:
         if self._clock_is_set or sent_ns > time.time_ns() + STEP_NS:
             if since_s < REPEATED_S:
                 raise CommandError(
-                    "the command may have been sent before this rig resumed from a suspension: send it again in a few "
-                    "seconds"
+                    "the command may have been sent before the process of this rig, which had been stopped, ran again: "
+                    "send it again in a few seconds"
                 )
         elif late_s > 0.0:
             raise CommandError(
-                f"the command was sent {late_s:.1f} s before this rig resumed from a suspension: send it again"
+                f"the command was sent {late_s:.1f} s before the process of this rig, which had been stopped, ran "
+                "again: send it again"
             )
 
     def _catch_up(self, rig: Rig, deadline: float) -> None:

@@ -260,7 +260,8 @@ def new_sampling_workspace() -> SamplingWorkspace:
 def _place_and_order(p: Record, quantity: int) -> tuple[int, int, bool]:
     """Return how to compute a quantity of the structure: (entry of y, order of derivative, whether it is the drive).
 
-    y is the structural state. If the last result is true, the quantity is this derivative of the drive u, not of y.
+    y is the structural state: displacements, velocities and coil current, so an acceleration is the first derivative of
+    a velocity. If the last result is true, the quantity is this derivative of the drive u, not of an entry of y.
     """
     if quantity in (OF_X_1, OF_V_1, OF_A_1):
         return X1 if quantity == OF_X_1 else V1, 1 if quantity == OF_A_1 else 0, False

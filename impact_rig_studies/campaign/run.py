@@ -75,7 +75,7 @@ class Finished:
 
     @property
     def curves(self) -> Curves:
-        """The settled points of the reference rig, by gap and frequency."""
+        """The settled points, after a reset, of the reference rig (that of the first job), by gap and frequency."""
         return Curves.of(self.points)
 
     def verdicts(self) -> list[Verdict]:

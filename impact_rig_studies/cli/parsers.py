@@ -751,7 +751,9 @@ def add_identify(commands: Commands) -> None:
         "namespace of the rig to read from the run of --decay; required if several are in it (default: the only one)",
     )
     parser.add_argument(
-        "--decrement", action="store_true", help="evaluate the free decay by its logarithmic decrement instead of a fit"
+        "--decrement",
+        action="store_true",
+        help="evaluate the free decay, simulated or of --decay, by its logarithmic decrement instead of a fit",
     )
     parser.add_argument(
         "--without",

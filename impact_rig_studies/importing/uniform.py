@@ -75,7 +75,7 @@ def aligned(
 
     Raises:
         ConfigError: a signal has neither times nor a rate, misses scans, or has fewer than 2 values. Or its times do
-            not increase, a value is not finite, or the signals have fewer than two times in common.
+            not increase, a value is not finite, or the signals overlap in time by fewer than two samples.
     """
     times: dict[str, Real] = {}
     for name, one in abscissas.items():
@@ -98,8 +98,8 @@ def aligned(
     common = densest[(densest >= begin) & (densest <= end)]
     if len(common) < FEWEST:
         raise ConfigError(
-            f"{path}: the signals of {', '.join(times)} have fewer than {FEWEST} times in common; leave one "
-            "of these channels out (--channel NAME=)"
+            f"{path}: the signals of {', '.join(times)} hardly overlap in time: between the latest start and the "
+            f"earliest end there are fewer than {FEWEST} samples; leave out the one from another time (--channel NAME=)"
         )
     there = {name: _spline(times[name], values)(common) for name, values in found.items()}
     return Abscissa(AbscissaKind.TIME, "s", float(common[0]), values=common - common[0]), there

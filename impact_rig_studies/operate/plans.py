@@ -80,8 +80,8 @@ class SweepPlan:
     measurements_per_point: int = integer(
         1,
         "-",
-        "Number of accepted measurements at each point: settled ones, and unless keep_unsettled of the stepped-sine "
-        "node is false, also those that had not settled within the time limit of the analysis.",
+        "Number of accepted measurements at each point: settled ones, and those that had not settled within the time "
+        "limit of the analysis (the latter not if a stepped-sine node has keep_unsettled: false).",
         at_least=1,
         at_most=1000,
     )

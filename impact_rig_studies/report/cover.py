@@ -70,7 +70,8 @@ def versions(done: Finished) -> dict[str, object]:
     except (OSError, ValueError, TypeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise RecordingError(
-            f"{done.directory / run.PROVENANCE_FILE} cannot be read: {why}; run the campaign again, which writes it"
+            f"{done.directory / run.PROVENANCE_FILE} cannot be read: {why}; repeat the command that began this "
+            "campaign, which writes the file again and keeps the results"
         ) from error
 
 

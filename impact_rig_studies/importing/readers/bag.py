@@ -131,9 +131,10 @@ class _Series:
         return len(self.stamps) * (1 + len(self.columns))
 
     def add(self, message: Any, log_ns: int) -> None:
-        """Add the numbers of a message; if its fields differ from those of earlier ones, only set `left_out`.
+        """Add the numbers of a message; if its fields differ from those of earlier ones, the whole topic is left out.
 
-        `log_ns` is the time of receipt, used if the message has no stamp or a stamp of zero.
+        `left_out` is then set to the reason, and nothing is added. `log_ns` is the time of receipt, used if the message
+        has no stamp or a stamp of zero.
         """
         header = getattr(message, "header", None)
         stamp_ns = header.stamp.sec * NS_PER_S + header.stamp.nanosec if header is not None else 0

@@ -111,13 +111,13 @@ def test_a_rig_drops_old_commands_when_it_resumes_after_a_suspension(tmp_path: P
             client.wait_until(pluck.done, "the answer")
             assert not pluck.result().success
             assert re.fullmatch(
-                r"the command was sent [2-9]\.\d s before this rig resumed from a suspension: send it again",
+                r"the command was sent [2-9]\.\d s before the process of this rig, which had been stopped, ran again: send it",
                 pluck.result().message,
             )
             found = client.wait_until(
                 lambda: "refused.shaker/current" in (f := client.figures("rig")) and f, "the count"
             )
-            assert "resumed from a suspension" in found["last_refused.shaker/current"]
+            assert "which had been stopped, ran again" in found["last_refused.shaker/current"]
             assert (found["current_a"], found["state"]) == ("0.1", "driving")
             client.wait_active("rig")
             assert client.command(current_a=0.2)["current"] == 0.2, "it accepts present commands"
