@@ -111,7 +111,7 @@ def test_a_rig_drops_old_commands_when_it_resumes_after_a_suspension(tmp_path: P
             client.wait_until(pluck.done, "the answer")
             assert not pluck.result().success
             assert re.fullmatch(
-                r"the command was sent [2-9]\.\d s before the process of this rig, which had been stopped, ran again: send it",
+                r"the command was sent [2-9]\.\d s before the process of this rig, .* ran again: send it again",
                 pluck.result().message,
             )
             found = client.wait_until(
