@@ -146,8 +146,8 @@ def decode(data: Buffer, topic: Topic | None = None, needs: tuple[str, ...] = ()
             scan.
 
     Returns:
-        The table. Its rows are a read-only view of `data`, or a new array if `topic` has columns that `data` lacks or
-        has in a narrower type.
+        The table. Its rows are a read-only view of `data`, or a new array if columns had to be added or widened for
+        `topic`, see `checked`.
 
     Raises:
         CodecError: `data` is not a little-endian PointCloud2 of height 1 with columns of the types that `encode`
@@ -464,7 +464,9 @@ def encode_text(content: str) -> bytes:
 
 
 def text(data: Buffer) -> str:
-    """Return the content of a serialised `std_msgs/String`.
+    """Return the content of a serialised `std_msgs/String` in little-endian CDR; the byte order is not checked.
+
+    A text of length 0, without even a NUL, counts as empty.
 
     Raises:
         CodecError: `data` is too short, or its text is not UTF-8 with a NUL at its end and no other NUL.
@@ -559,7 +561,7 @@ def _dtype(columns: dict[str, tuple[str, int]], point_step: int) -> np.dtype[np.
     end = 0
     for name, (fmt, offset) in sorted(columns.items(), key=lambda item: item[1][1]):
         if offset < end:
-            raise CodecError(f"field {name!r} at offset {offset} overlaps the field before it, which ends at {end}")
+            raise CodecError(f"field {name!r} at offset {offset} overlaps another field, which ends at {end}")
         end = offset + np.dtype(fmt).itemsize
     # limit of NumPy; a larger point can only occur with width 0, since all of its bytes must be in the message
     if not end <= point_step < 2**31:

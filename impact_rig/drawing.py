@@ -196,7 +196,7 @@ class Drawn:
 
     Args:
         name: name of the drawing, any text; `names.file_name` makes its file names from it.
-        figure: matplotlib figure; its texts are changed at once, as by `plain_texts`.
+        figure: finished matplotlib figure: its texts are changed at once, as by `plain_texts`, and its SVG is made.
         caption: sentence(s) below the drawing, which also serve as alternative text.
         lines: numbers that the drawing shows, for its CSV file.
     """
@@ -220,8 +220,8 @@ class Drawn:
     def inline(self) -> str:
         """Return the drawing as an `svg` element for an HTML page.
 
-        Its colours are CSS variables, its identifiers are unique on the page, and its size is left to the page: the
-        element has no height, and its width, such as `316.8pt`, is in `data-width`.
+        The theme's colours are CSS variables, and its identifiers begin with `identifier`. Its size is left to the
+        page: the element has no height, and its width, such as `316.8pt`, is in `data-width`.
         """
         body = re.sub(r"<metadata>.*?</metadata>", "", self.svg[self.svg.index("<svg") :], flags=re.DOTALL)
         body = TAG.sub(self._of_page, body)
@@ -230,16 +230,16 @@ class Drawn:
     def _of_page(self, tag: re.Match[str]) -> str:
         """Return an SVG tag for use in an HTML page.
 
-        Colours become CSS variables. Each identifier, and each reference to one, gets the prefix `identifier`, so that
-        no two drawings of a page have an identifier in common.
+        The theme's colours become CSS variables. Each identifier, and each reference to one, gets the prefix
+        `identifier`, so that drawings with different names have no identifier in common.
         """
         return re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{self.identifier}-", themed(tag[0]))
 
     def csv(self) -> str:
         """Return the numbers of all `lines` as CSV text, which is empty if there are no lines.
 
-        Each row is one point: the label of its line (column `case`), then its values. A column that the line does not
-        have is left empty.
+        After a row with the names of the columns, each row is one point: the label of its line (column `case`), then
+        its values. A column that the line does not have is left empty.
         """
         columns = list(dict.fromkeys(name for line in self.lines for name in line.columns))
         text = io.StringIO()

@@ -51,7 +51,7 @@ class ImpactRigError(Exception):
 class ConfigError(ImpactRigError, ValueError):
     """A configuration value, key or file is invalid; also a `ValueError`.
 
-    The message names the key, its value, the allowed range and, if there is one, the file.
+    The message names the key or file, and what is wrong: usually the value and the allowed range.
 
     Examples:
         >>> import impact_rig
@@ -97,7 +97,7 @@ class CodecError(ImpactRigError, ValueError):
 class RecordingError(ImpactRigError, OSError):
     """A run, or another file or directory of results, cannot be written or read; also an `OSError`.
 
-    Data that were already on disk are not changed. The message names the file.
+    Data that were already on disk are not changed. The message names the file, if one is concerned.
 
     Examples:
         >>> import impact_rig
@@ -120,8 +120,8 @@ class GoneError(ImpactRigError, RuntimeError):
 class SimulationError(ImpactRigError, RuntimeError):
     """The simulation cannot continue; also a `RuntimeError`.
 
-    In a rig, the cause is a defect of the model or its tolerances, never a user's command: please report it. In a study
-    or fit, the message can instead ask for another start, value or configuration.
+    In a rig, the cause is a defect of the model, its tolerances or a contact law, never a command: please report it. In
+    a study or fit, the message can instead ask for another start, value or configuration.
     """
 
 

@@ -82,8 +82,9 @@ def one_line(text: str, limit: int = LONGEST_LINE, *, lines: bool = False) -> st
 def quoted(value: object) -> str:
     """Return a value as text for an error message: in Python's notation, cut off after 200 characters.
 
-    A NumPy number is written like any other: `0.5` instead of `np.float64(0.5)`. An integer of magnitude 10^30 or more
-    gives `a number too large to represent`; so does a value that contains one which Python does not print.
+    A NumPy number, alone or in lists or tuples, is written like any other: `0.5` instead of `np.float64(0.5)`. An
+    integer of magnitude 10^30 or more gives `a number too large to represent`; so does a value that contains one which
+    Python does not print.
     """
     if isinstance(value, int) and abs(value) >= LARGEST_INTEGER:
         return TOO_LARGE
@@ -138,7 +139,7 @@ def plot_text(text: str, limit: int = LONGEST_TITLE) -> str:
     Matplotlib sets text between dollar signs as a formula. The project's own labels contain symbols such as `$x_1$`,
     which it can always set; a text whose formulas are all of this kind stays unchanged. If the text, after the cut, has
     another formula or a single dollar sign, all its dollar signs are escaped. A name from outside is then drawn
-    literally.
+    literally. Also after the cut, characters that do not print, except line feeds, are escaped (see `visible`).
     """
     text = visible(text if len(text) <= limit else f"{text[: limit - 1]}…", lines=True)
     parts = _DOLLAR.split(text)

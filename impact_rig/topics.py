@@ -66,13 +66,13 @@ class Topic:
         name: topic name, relative to the rig's namespace, or absolute by convention (`/clock`).
         type_name: ROS interface, `package/msg/Type`.
         qos: quality of service.
-        publisher: node that publishes it, or `client`.
+        publisher: node that publishes it; or `client`, `peers` or `every node`.
         doc: content of a message.
         fields: columns of a table, or the fields that are filled in another message.
         columns: row type of a table, made from `fields`; None for a topic without tables.
         frame_id: frame of the messages.
-        recorded: whether the recorder writes it to every run. Topics for plotters are not recorded: their data can be
-            derived from the recorded ones.
+        recorded: whether the recorder writes it to every run. Topics for plotters are not recorded, because their data
+            can be derived from the recorded ones; neither is `daq/ack`.
         further: numpy type that columns of a table must have which are not in `fields`. Empty means any type, because a
             later version may add columns.
     """

@@ -90,9 +90,14 @@ def add_command(commands: Commands) -> None:
         "--host",
         default="127.0.0.1",
         help="address on which the page is served; unless it is a loopback address, other machines can open the page "
-        "by the printed URL, which contains a secret token (default: %(default)s)",
+        "by the printed URL, which contains a secret token; for 0.0.0.0, replace it there by an address of this "
+        "machine (default: %(default)s)",
     )
-    add_recorded_rig(parser)
+    add_recorded_rig(
+        parser,
+        "namespace of the recorded rig to show, only with RUN or --sample; required if a RUN has several (default: the "
+        "only one)",
+    )
     parser.add_argument("--no-browser", action="store_true", help="print the address of the page without opening it")
     parser.add_argument(
         "--scan-rate",
@@ -118,14 +123,17 @@ def add_command(commands: Commands) -> None:
         "curve of DT while the rig has the settings for which they were computed",
     )
     parser.add_argument(
-        "--no-record", action="store_true", help="record only on request from the page (default: from the start)"
+        "--no-record",
+        action="store_true",
+        help="record only on request from the page; not with --attach, --sample or RUN (default: from the start)",
     )
     parser.add_argument(
         "--output",
         type=Path,
         default=Path("runs"),
         metavar="DIR",
-        help="directory in which each recording gets a folder of its own (default: %(default)s)",
+        help="directory in which each recording gets a folder of its own; not with --attach, --sample or RUN (default: "
+        "%(default)s)",
     )
     parser.set_defaults(of_a_started_rig={name: parser.get_default(name) for name in OF_A_STARTED_RIG})
 
@@ -209,8 +217,8 @@ def _say_where(source: Any, new: Callable[[], set[Path]]) -> None:
     Args:
         source: what the page showed; None if the program has failed before it had a source.
         new: function that returns the recordings that have appeared since the start, if this lab records from the
-            start. The recorder reports its directory once a second, so the newest of them is that of a lab that ended
-            before.
+            start. The newest of them is printed if the lab ended before the recorder, which reports its directory once
+            a second, has reported one.
     """
     directory = getattr(source, "directory", None) or max(new(), default=None)
     if directory is not None:

@@ -217,7 +217,7 @@ class Gateway:
         """Subscribe to the topics that are drawn, or unsubscribe from them.
 
         Args:
-            scans: whether to receive scans and detected impacts.
+            scans: whether to receive scans, commanded samples and detected impacts.
             motion: whether to receive the true motion as well, if `scans` is true. If it becomes false while the motion
                 is received, the motion received so far is forgotten.
         """
@@ -412,7 +412,7 @@ class Gateway:
         publisher.publish(publisher.msg_type(data=value))
 
     async def _command(self, column: str, value: float) -> str:
-        """Publish a command, and wait until the rig has applied it.
+        """Publish a command, and wait until the rig has accepted it.
 
         Args:
             column: name of the request, and of the column of `shaker/applied` that confirms it: frequency or current.
@@ -422,7 +422,7 @@ class Gateway:
             Answer for the page.
 
         Raises:
-            Refused: no node subscribes to the command, or the rig rejects it or does not apply it in time.
+            Refused: no node subscribes to the command, or the rig rejects it or does not confirm it in time.
         """
         record, topic = self.record, COMMANDS[column]
         before, refusal = record.changes, self.client.refusal(topic.name, "inactive")
@@ -469,7 +469,7 @@ class Gateway:
     async def do_pluck(self, value: float) -> str:
         """Pluck the rig: the rig locks the inferior base, and releases the superior base from a displacement [m].
 
-        The inferior base stays locked until the next reset.
+        The inferior base stays locked, and the rig rejects commands, until the next reset.
 
         Raises:
             Refused: the rig rejects the displacement or the pluck, or does not answer in time.
@@ -487,7 +487,8 @@ class Gateway:
         If no analysis is running, the answer says so.
 
         Raises:
-            Refused: the gap is negative, or the rig or the analysis rejects it.
+            Refused: the gap is negative, the rig or the analysis rejects it, or one of them does not answer in time. If
+                it is the analysis, the rig has the new gap already.
         """
         if value < 0.0:
             raise Refused(f"a gap must be > 0 mm, or 0 for a rig without the sphere, got {value * 1e3:g} mm")
@@ -565,7 +566,6 @@ class Gateway:
         """Start a stepped sine or a phase lock on the rig with its present amplitude.
 
         A drive by current gets 0.52 A if its amplitude is 0 or unknown.
-
         If the node that runs it is absent, a lab that has started the rig starts this node first.
 
         Args:

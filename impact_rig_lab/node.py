@@ -34,7 +34,10 @@ USE = (
 
 
 def main() -> None:
-    """Run the program: serve the page until a signal, or the end of the parent process, ends it."""
+    """Run the program: serve the page until a signal ends it.
+
+    If a launch file of this project or `impact_rig.client.Processes` started it, the end of that process also ends it.
+    """
     begin("lab", USE, lambda ending: sys.exit(ending.run(lambda: _serve(ending), interrupting=False)))
 
 

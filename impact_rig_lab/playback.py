@@ -76,7 +76,7 @@ class Instant:
 
 
 class RunPlayer:
-    """Player of one recorded run: it passes the messages up to the shown time to its record, and reads the marks.
+    """Player of one recorded run: it passes scans and motion up to the shown time to its record, and reads the marks.
 
     The marks are the rare messages of the whole run. Times of the page are seconds since scan 0 of the first run;
     `offset_s` is added to them for a second run.
@@ -203,7 +203,11 @@ class RunPlayer:
             self._quiet.set()
 
     def play(self, page_s: float) -> None:
-        """Pass further messages to the record, up to and including a time of the page [s]."""
+        """Pass the next scans, motion and stream samples to the record, up to and including a time of the page [s].
+
+        They continue from the last `jump`; before the first one, nothing is passed. The thread of `start` passes the
+        rare messages, for marks and state.
+        """
         until = self.instant_ns(page_s)
         while self._next is not None and self._next.log_time <= until:
             self.record.take(self._topics[self._next.topic], bytes(self._next.data))
@@ -490,8 +494,8 @@ class PlaybackSource(Source):
 
         Args:
             by: `start` (the first recorded scans of both runs are aligned), `time` (equal times since scan 0), or
-                `change`: the line of the first run's history (`RigHistory.part`) that is nearest to `at_s` is aligned
-                with the first equal line of the second run.
+                `change`: the line of the first run's history (`RigHistory.part`, from its first scan on) that is
+                nearest to `at_s` is aligned with the first line of the second run of equal kind, key and text.
             at_s: time of the page [s]; only for `change`.
 
         Returns:

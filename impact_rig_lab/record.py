@@ -202,7 +202,10 @@ class RigHistory:
         self._part: tuple[int, list[list[Any]]] | None = None
 
     def add(self, entry: JournalEntry) -> None:
-        """Add an entry of `rig/journal` to the history, as a change of the state and as a line."""
+        """Add an entry of `rig/journal` to the history: as a change of the state, and as a line for the page.
+
+        An entry that sets several parameters gives a line for each.
+        """
         self._view.follow(entry)
         self._changes.append(entry)
         if entry.kind is InputKind.PARAMETER:
@@ -245,7 +248,8 @@ class RigHistory:
         """Return all lines for the page, ordered by time, each as [time in s since scan 0, kind, key, text].
 
         Kind, key and text are, for example, "parameter", the name and the value. For a fault they are "fault", "begins"
-        and which fault, and for a remark "note", "" and the remark.
+        or "ends", and which fault; for the command that requests it, "fault", which fault and its size. For a remark
+        they are "note", "" and the remark.
 
         If nothing is new, the result is the same object as before.
 

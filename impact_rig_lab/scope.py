@@ -225,8 +225,9 @@ class Scope:
         Args:
             span_s: length of the window [s], at most `LONGEST_S`; a longer one is shortened.
             columns: approximate number of columns; the picture may have fewer, or up to twice as many.
-            trigger: whether to move the window back in time until it begins where the current crosses zero upwards, so
-                that successive pictures of a periodic motion coincide. If there is no such crossing, it is not moved.
+            trigger: whether to move the window back, by at most 0.25 s, until it begins where the current crosses zero
+                upwards, so that successive pictures of a periodic motion coincide. Without such a crossing, it is not
+                moved.
         """
         if self.end <= self.begin:
             return None

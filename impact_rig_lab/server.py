@@ -357,7 +357,7 @@ class Server:
 
     @property
     def address(self) -> str:
-        """Return the address (URL) to open in a browser, with the token; its host is `host` as given, even 0.0.0.0."""
+        """Address (URL) to open in a browser once the server runs, with the token; its host is `host`, even 0.0.0.0."""
         return f"http://{self._name}:{self.port}/?token={self.token}"
 
     @property
@@ -378,7 +378,7 @@ class Server:
             if isinstance(self._failure, OSError):
                 reason = self._failure.strerror or str(self._failure)
             raise ImpactRigError(
-                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another --port or --host"
+                f"cannot serve {self._host}:{self._wanted_port}: {reason}; choose another port or host"
             ) from self._failure
 
     def close(self) -> None:
@@ -645,8 +645,8 @@ class Server:
         unknown = [name for name in names if name not in known]
         if unknown:
             raise ImpactRigError(
-                f"there is no recorded run {unknown[0]!r} among the newest {MOST_RUNS} in the directory of this lab; "
-                "to play another one, start impact-rig lab with its path"
+                f"there is no recorded run {unknown[0]!r} among the newest {MOST_RUNS} in the directory whose "
+                "runs this lab lists; to play another one, start impact-rig lab with its path"
             )
         if len(names) > MOST_AT_ONCE:
             raise ImpactRigError(f"at most {MOST_AT_ONCE} runs can be shown at once, got {len(names)}")

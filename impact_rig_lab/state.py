@@ -118,7 +118,7 @@ class Seen:
 
     @property
     def gone(self) -> str:
-        """Reason why a node is gone: its process ended, or its reports stopped; empty if present or never reported."""
+        """Reason why a node is gone: its process ended, or its reports stopped; otherwise empty, as before a report."""
         if self.ended:
             return self.ended
         return "" if self.age_s is None or self.lives else f"silent for {self.age_s:.0f} s"
@@ -429,8 +429,8 @@ class Source(abc.ABC):
         The prediction is requested only while a page is open, the drive (`applied`) is known and `values` is not empty.
 
         If a function fails, the failure is counted, its part stays as it is, and the other parts are updated.
-        The part `refused` gets all failures, by name. The part `other_motion` gets the result of `contradiction` for
-        the newest measurement.
+        The part `refused` gets all failures by name, and invalid messages by topic. The part `other_motion` gets the
+        result of `contradiction` for the newest measurement if that applies now, otherwise an empty text.
 
         Args:
             parts: functions that return the parts, by name; `applied`, `dt` and `dt_now` are among them.

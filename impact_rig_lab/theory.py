@@ -166,7 +166,8 @@ def continued(directory: Path) -> Continued:
     """Read branches of motions over frequency from the output directory of `impact-rig dynamics continue`.
 
     Raises:
-        ConfigError: the results are missing, or not over the frequency, or `impact_rig_studies` is not installed.
+        ConfigError: results from this version of the code are missing, they are not over the frequency, or
+            `impact_rig_studies` is not installed.
     """
     try:
         from impact_rig_studies.dynamics import figures, plan  # noqa: PLC0415  # as above

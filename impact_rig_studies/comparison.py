@@ -322,7 +322,7 @@ class _ModelledScans:
         return Table(table.stamp_ns, rows)
 
     def at(self, excerpt: Excerpt) -> slice:
-        """Return the places of an excerpt's scans in `true` and `model`, and fill the column `time` of both.
+        """Return the index range of an excerpt's scans in `true` and `model`, and fill the whole column `time` of both.
 
         The time is in seconds since the first scan of the run.
         """
@@ -439,7 +439,8 @@ def _lead(measured: Real, structure: Real, rate_hz: float, drive_hz: float, time
     """Return an assumed drive before the first scan, at the times `time_s` relative to that scan (< 0 [s]).
 
     If `structure`, the measured motion, is steady from the first scan on, the assumed drive is the sine of the first
-    cycles of `measured`, the measured drive; it rises from zero in its first `RISE_S`. Otherwise it is zero.
+    cycles of `measured`, the measured drive; it rises from zero in its first `RISE_S`. Otherwise it is zero, also if
+    `drive_hz` is 0 (unknown) or the record is too short to decide.
     """
     count = round(FIRST_CYCLES / drive_hz * rate_hz) if drive_hz > 0.0 else 0
     if not 0 < 2 * count <= len(measured):

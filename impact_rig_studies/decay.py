@@ -101,8 +101,8 @@ def measure_decay(
 ) -> Decay:
     """Measure f_n and ζ from the free decay of the superior base while the inferior base is locked.
 
-    The status is `impacts` or `not_exponential` if no single ζ describes the record, `over_range` if the laser was
-    clipped, and otherwise that of `method`.
+    The status is `over_range` if the laser was clipped, `impacts` if the accelerometer shows an impact, and
+    `not_exponential` if the halves of the record decay at different rates. Otherwise it is that of `method`.
 
     Args:
         rows: consecutive scans (`daq/scan`) that begin after the release, shape (n,).
@@ -217,10 +217,10 @@ def fit_decay(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
 def log_decrement(y: Real, rate_hz: float, u_clock: float = 0.0) -> Decay:
     """Return f_n and ζ of a free decay from the amplitudes and phases of its successive cycles.
 
-    A fit over each cycle gives its amplitude and phase. Straight lines over the time are fitted to the logarithm of the
-    amplitude, whose slope gives ζ, and to the phase, whose slope gives f_n. Both are weighted with the squared
-    amplitudes. The uncertainties come from the scatter about the lines, that of f_n also from `u_clock`. The arguments
-    are those of `DecayMethod`.
+    A fit over each cycle gives its amplitude and phase. Cycles from the first one too weak for a logarithm on are left
+    out. Straight lines over the time are fitted to the logarithm of the amplitude and to the phase, both weighted with
+    the squared amplitudes. Their slopes, the decay rate and the damped frequency, give ζ and f_n. The uncertainties
+    come from the scatter about the lines, that of f_n also from `u_clock`. The arguments are those of `DecayMethod`.
     """
     start = _start(y, rate_hz)
     if isinstance(start, Status):
@@ -396,7 +396,8 @@ def parse_drop(remark: str) -> DropHeights | None:
 class DropTest:
     """Mean coefficient of restitution of `drops` drops, with its standard uncertainty.
 
-    Both are NaN if `status` is not `ok`, because of an invalid height or uncertainty; one drop is enough for `ok`.
+    Both are NaN if `status` is not `ok`, because of an invalid height or uncertainty. One drop is enough for `ok`, but
+    its uncertainty is NaN if the heights have none.
     """
 
     status: Status

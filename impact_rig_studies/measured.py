@@ -159,8 +159,8 @@ class _Sensors:
     def joined(self, other: _Sensors) -> _Sensors:
         """Return the common calibration of these runs and of a further one, `other`.
 
-        A stated value replaces an estimated one. Of two estimated values the first counts, or the coarser resolution.
-        Scan rates must differ by at most `SAME_RATE`, even if estimated.
+        Two stated values must be equal. A stated value replaces an estimated one. Of two estimated values the first
+        counts, or the coarser resolution. Scan rates, if one is estimated, may differ by at most `SAME_RATE`.
 
         Raises:
             RecordingError: the channels or a stated property differ; the message names channel, column and both values.

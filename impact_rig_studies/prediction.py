@@ -157,7 +157,7 @@ class Manifold:
     def xi(self, theta: Real | float) -> Real:
         """Return ξ = A/b, the structure's amplitude over half the gap, of motions with Θ; never NaN.
 
-        `theta` is Θ, the sphere's amplitude over half the gap, shape (n,), as is the result.
+        `theta` is Θ, the sphere's amplitude over half the gap. The result has its shape.
         """
         found: Real = np.hypot(self.kappa * np.asarray(theta, float) - 1.0, self.rho * np.asarray(theta, float))
         return found
@@ -287,7 +287,7 @@ class HeldDrive:
 
 
 class _Answer(NamedTuple):
-    """Response of the linear rig to the drive and to the sphere's force for given Θ, and the gap of each motion."""
+    """Response of the linear rig to drive and sphere for given Θ (sphere's amplitude over half the gap), and gaps."""
 
     ratio: Complex  # X_1 / X_b
     current_a: Real
@@ -465,8 +465,8 @@ def branch(
     """Return the motions with two symmetric impacts per cycle at one frequency, for all gaps at which they exist.
 
     The motions are in the order of increasing Θ, the sphere's amplitude over half the gap, from the fold on. Those
-    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The branch is never empty. Exactly one of
-    `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
+    above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The branch always has `POINTS` motions.
+    Exactly one of `current_a`, `base_m` and `superior_m` must be given: it is held constant along the branch.
 
     Args:
         config: the rig; its own gap is ignored.
@@ -587,8 +587,8 @@ def best_gap(motions: Branch) -> Branch:
 def _roots(rig: LinearRig, frequencies_hz: Real, gap_m: float, held: HeldDrive) -> list[Real]:
     """Return Θ, the sphere's amplitude over half the gap, of all motions with two symmetric impacts at this gap.
 
-    The result is one array per frequency, in descending order. `held` is the amplitude that is held constant: that of
-    the coil current, the inferior base or the superior base.
+    The result is one array per frequency, each in descending order of Θ. Θ above `BEYOND` · `THETA_SYMMETRIC` are left
+    out. `held` is the amplitude that is held constant: that of the coil current, the inferior or the superior base.
     """
     grid = rig.thetas()
     rows, columns = [], []

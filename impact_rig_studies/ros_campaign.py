@@ -52,7 +52,8 @@ def ros_runner(
     """Return a function that measures jobs on a rig, an analysis and a recorder running as ROS node processes.
 
     The processes start when the first job is requested, and end after the last. Since scan rate and block length are
-    fixed at their start, jobs that differ in them are measured by different processes, one group after the other.
+    fixed at their start, jobs that differ in them are measured by different processes, one group after the other. The
+    order of the results is then not that of the given jobs.
 
     Args:
         logs: directory in which a folder `logs` is created for the logs of the processes.

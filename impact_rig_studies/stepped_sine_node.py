@@ -79,7 +79,7 @@ class SteppedSineSettings(SweepPlan, HoldPlan, LockSettings):
         return LockPlan(start_hz=self.points()[0], **{name: getattr(self, name) for name in names})
 
     def sweep(self) -> SteppedSine:
-        """Return a new sweep with these settings: at the commanded current, or with a controlled amplitude."""
+        """Return a new sweep at the commanded current or with a controlled amplitude; not for a phase lock."""
         return SteppedSine(self) if self.hold == COMMAND else ControlledSine(self, self)
 
 
@@ -112,7 +112,7 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.offer(topics.FREQUENCY, topics.CURRENT, topics.SWEEP, topics.ACK)
 
     def activate(self) -> None:
-        """Subscribe to rig and analysis; if `begin` is set, start the sweep as soon as nothing is `_missing`."""
+        """Subscribe to rig and analysis; if `begin` is set, start the sweep once nothing that it needs is missing."""
         self._now_ns, self._pending = None, self.settings.begin
         self.until_deactivated(
             self.subscribe(MONITORS["base"], self._on_time, raw=True),
@@ -125,7 +125,10 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
         self.every(WATCH_S, self._begin_when_ready)
 
     def deactivate(self) -> None:
-        """Abort a running sweep (zero current), acknowledge the received blocks of scans, and unsubscribe from them."""
+        """Abort a running sweep, acknowledge the received blocks of scans, and unsubscribe from them.
+
+        The abort commands zero current. If ROS is shut down already, nothing is aborted or commanded.
+        """
         if self._operator is not None and self.context.ok():
             self._operator.abort("the node was deactivated")
         self._acknowledgements.flush()

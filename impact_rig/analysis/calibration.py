@@ -332,8 +332,9 @@ class Calibration:
 
         `lag_uncertainty` is the relative standard uncertainty of the lag. A channel whose lag is modelled as a pure
         delay (`lag_order` 0) has an additional uncertainty of its amplitude, because the model omits the attenuation by
-        the sensor's low-pass. With two or more poles and the corner `bandwidth`, it is at most
-        1 − 1/√(1 + (f/bandwidth)⁴), and is taken as uniformly distributed up to that.
+        the sensor's low-pass. With two or more poles and the corner `bandwidth`, that attenuation is at most
+        1 − 1/√(1 + (f/bandwidth)⁴), and is taken as uniformly distributed up to that. It is left out if `bandwidth` is
+        0 (unknown).
         """
         slope = self.lag_sensitivity(channel, frequency_hz) * lag_uncertainty
         left_out = 0.0
@@ -342,9 +343,9 @@ class Calibration:
         return math.hypot(slope.real, left_out), abs(slope.imag)
 
     def lag_sensitivity(self, channel: int, frequency_hz: float) -> complex:
-        """Return d ln L / d ln lag, the change of a channel's response L per relative change of its sensor's lag.
+        """Return d ln L / d ln lag, the relative change of L per relative change of the lag of a channel's sensor.
 
-        L is that of `LAG_MODELS` for the channel's `lag_order`.
+        L is the response in `LAG_MODELS` for the channel's `lag_order`.
 
         The real part is the relative change of the amplitude, the imaginary part that of the phase [rad].
         """

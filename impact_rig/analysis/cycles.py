@@ -95,7 +95,7 @@ class Cycles:
 
 
 def concatenate(parts: list[Cycles]) -> Cycles:
-    """Join groups of cycles into one group; each group must begin where the one before it ends."""
+    """Join groups of cycles into one group; each group must begin where the one before it ends (not checked)."""
     return Cycles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in attrs.fields(Cycles)))
 
 
@@ -142,7 +142,7 @@ class Accumulator:
         rate_hz: scans per second.
         frequency_hz: drive frequency.
         harmonics: number of harmonics to fit (see `usable_harmonics`).
-        origin: index of the scan at which cycle 0 starts.
+        origin: index of the scan at which cycle 0 starts; this must be the first scan that is added.
         low: largest value that counts as below the range of each channel, shape (4,).
         high: smallest value that counts as above it, shape (4,).
         capacity: largest number of cycles that one call of the compiled function completes; it does not limit `add`.
@@ -244,7 +244,7 @@ class Accumulator:
     def _inverse_for(self, samples: int) -> Real:
         """Return the inverse normal matrix of a cycle of `samples` scans.
 
-        It is computed once for each number of scans; cycles of one frequency have only two different numbers.
+        It is computed once for each number of scans; cycles of one frequency have at most two different numbers.
         """
         found = self._inverse.get(samples)
         if found is None:
@@ -288,7 +288,7 @@ def normal_matrix(phase: Real, samples: NDArray[np.int64], step: float, harmonic
 def _places(harmonics: int) -> tuple[NDArray[np.int64], ...]:
     """Return index arrays for `normal_matrix`.
 
-    They are the orders 1 … 2H. Then follow three matrices with an entry for each pair (a, b) of the orders 0 … H:
+    They are the harmonic numbers 1 … 2H. Then follow three matrices with an entry for each pair (a, b) of 0 … H:
     |a − b|, a + b, and the sign of b − a. The last two arrays are row numbers of the normal matrix: those of the
     cosines (with the constant) and those of the sines.
     """
@@ -309,9 +309,9 @@ def _outside(values: Reals, count: int, low: float, high: float) -> int:
 
 @kernel
 def _largest_change(values: Reals, count: int, before: float, largest: float) -> float:
-    """Return the largest absolute change from one of the first `count` values to the next, or `largest` if larger.
+    """Return the largest absolute change to one of the first `count` values from its predecessor.
 
-    `before` is the value that precedes the first one.
+    `before` is the predecessor of the first value. The result is `largest` if no change is larger; NaN is ignored.
     """
     largest = _larger(abs(values[0] - before), largest)
     for q in range(1, count):
@@ -321,7 +321,7 @@ def _largest_change(values: Reals, count: int, before: float, largest: float) ->
 
 @kernel
 def _larger(change: float, largest: float) -> float:
-    """Return the larger of two numbers, or `largest` if `change` is NaN: the first scan of all has no change."""
+    """Return the larger of two numbers, or `largest` if `change` is NaN, as at the first scan of all."""
     return change if change > largest else largest
 
 
@@ -329,7 +329,8 @@ def _larger(change: float, largest: float) -> float:
 def _fold(folded: Reals, stretch: Reals, half: int, plain: Reals, square: Reals) -> None:
     """Fold a stretch of scans about its middle, and add its values and their squares to two sums.
 
-    `stretch` holds values by channel, shape (4, 2 half). `plain` and `square` are the sums of the cycle, shape (4,).
+    `stretch` holds values by channel in its first 2 `half` columns. `plain` and `square` are the sums of the cycle,
+    shape (4,).
     The result is `folded`: folded[0, q, j] is the sum of the two values of channel j that lie q + ½ scans after and
     before the middle, folded[1, q, j] is the later minus the earlier one.
     """
@@ -383,6 +384,7 @@ def _add_turned(at_cosine: Reals, at_sine: Reals, j: int, even: float, odd: floa
 def _add_stretch(sums: Reals, stretch: Reals, filled: int, angle: float, waves: Reals, folded: Reals) -> None:
     """Add the first `filled` scans of a stretch to the sums of a cycle.
 
+    If `filled` is odd, a scan of zeros is appended in `stretch`, and the middle is that of the longer stretch.
     `angle` is the drive phase at the middle of the stretch minus that at the middle of the cycle [rad].
     """
     half = (filled + 1) // 2

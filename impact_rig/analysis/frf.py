@@ -272,14 +272,16 @@ def transmissibility_frf(
     """Return the frequency response x_1 / x_b of a sweep or random record, corrected for the sensors' skew and lag.
 
     Args:
-        rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1).
+        rows: consecutive scans, with the channels `base` (x_b) and `laser` (x_1). One that measures velocity or
+            acceleration, by its unit in `info`, is converted to displacement.
         info: rows of `daq/info`.
         segment: length of a segment in samples. None means 1 / `SEGMENTS` of the record, or less if that resolves the
             resonance that is found.
         overlap: share of a segment that is also part of the next one. None means a half, or 0 with the window `boxcar`,
             which suits an excitation that repeats from segment to segment.
         window: name of the window for `scipy.signal`.
-        damping_ratio: damping ratio of the resonance, if it is known; it replaces the estimate.
+        damping_ratio: damping ratio of the resonance, if it is known; it replaces the estimate of a resonance
+            that is found.
 
     Returns:
         The frequency response; its `u_relative` includes calibration and resolution.

@@ -178,8 +178,8 @@ class Amplitudes:
     All are displacements [m], that of the accelerometer is acceleration / ω²; the current is in amperes.
 
     Attributes:
-        calibrated: largest relative difference between the amplitude of acceleration / ω² and X_1 that the
-            calibrations of the two sensors explain.
+        calibrated: largest relative difference between the amplitude of acceleration / ω² and X_1 that is allowed:
+            what the calibrations of the two sensors explain, but at least `ACCELERATION_LIMIT`.
     """
 
     size: Real  # by `scans.CHANNELS`; acceleration over ω² [m], X_1 [m], X_b [m], current [A]
@@ -197,7 +197,7 @@ class Amplitudes:
 def amplitudes(
     true: list[Complex], noise: Real, cycles: Cycles, calibration: Calibration, frequency_hz: float
 ) -> Amplitudes:
-    """Return the amplitudes of all channels in a measurement, with their uncertainties.
+    """Return the amplitudes of all channels at the drive frequency in a measurement, with their uncertainties.
 
     `true` are the corrected phasors of the cycles by channel, shape (n, H) each. `noise` are the variances per scan, in
     the squared units of these phasors, shape (4,).

@@ -87,9 +87,9 @@ NO_IMPACTS = np.zeros(0, IMPACT)
 def counted(cycles: Cycles, impacts: NDArray[np.void], origin: int, period: float) -> Cycles:
     """Return copies of drive cycles whose `impacts` and `strikes` are filled in from detected impacts (`IMPACT`).
 
-    `impacts` are their numbers in each cycle; `strikes` is 1 for each part of a cycle in which they are, else 0, shape
-    (n, PHASE_BINS). Impacts outside the cycles are ignored. `origin` is the first scan of cycle 0, `period` the number
-    of scans per cycle.
+    The field `impacts` becomes the number of impacts in each cycle; `strikes` is 1 for each part of a cycle with an
+    impact, else 0, shape (n, PHASE_BINS). Impacts outside the cycles are ignored. `origin` is the first scan of cycle
+    0, `period` the number of scans per cycle.
     """
     edges = np.append(cycles.first, cycles.first[-1] + cycles.samples[-1])
     place = np.searchsorted(edges, impacts["scan"], side="right") - 1
@@ -152,7 +152,7 @@ class ImpactDetector:
     def recalibrate(self, scan: float, calibration: Calibration) -> None:
         """Use the accelerometer's lag and skew of another calibration from the scan with the index `scan` on.
 
-        Its noise is used at each later `restart`. The other calibration must have the same scan rate.
+        Its noise is used by a `restart` at that scan or a later one. The scan rate must be the same as before.
         """
         noise = max(float(calibration.noise[ACCELEROMETER]), 1e-9)
         lag = (float(calibration.lag[ACCELEROMETER]) - float(calibration.skew[ACCELEROMETER])) * self._rate
@@ -286,8 +286,8 @@ def _detect(
 def impact_tables(found: NDArray[np.void], rate_hz: float, start_ns: int) -> list[Table]:
     """Return detected impacts (`IMPACT`) as tables `impacts` for publication, one per tick (10 ms) that has impacts.
 
-    Each table is stamped with the begin of its tick, so the tables do not depend on the length of the blocks.
-    `start_ns` is the rig time of scan 0.
+    Each table is stamped with the begin of its tick, so stamps and times do not depend on the length of the blocks.
+    Impacts of one tick that are found in two calls give a table in each. `start_ns` is the rig time of scan 0.
     """
     rows: dict[int, list[tuple[float, float, float]]] = {}
     for scan, peak, sign in found.tolist():  # usually a single one, for which NumPy is slow

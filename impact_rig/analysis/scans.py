@@ -183,7 +183,10 @@ class ScanBuffer:
 
 
 class Recent:
-    """Buffer of the newest blocks of `daq/scan`: the fewest that hold at least `length` scans without a gap."""
+    """Buffer of the newest blocks of `daq/scan` since the last gap: the fewest that hold at least `length` scans.
+
+    While fewer scans have arrived since the gap, it holds all of them.
+    """
 
     def __init__(self, rate_hz: float, length: int) -> None:
         self._rate_hz = rate_hz

@@ -221,7 +221,7 @@ def read_settings(table: Table) -> tuple[TrackerSettings, float]:
 def machine_of(table: Table) -> int | None:
     """Return the fingerprint (`machine.fingerprint`) of the machine that made a table; None if the table lacks it.
 
-    The table is `analysis/settings`. Machines with equal fingerprints give equal bits.
+    The table is `analysis/settings`. Machines with equal fingerprints compute equal bits with the same code.
     """
     found = _value(table, MACHINE)
     return None if found is None else int(found)

@@ -173,8 +173,9 @@ class ImpactPause:
 class Progress:
     """Progress towards the first row after the last change, as numbers of windows.
 
-    The last change is that of drive, gap label or calibration, a loss of scans, or a reset of the rig. After the first
-    row, the progress is complete. Once the next row takes longer than the newest did, it is the progress towards that.
+    The last change is that of drive, gap label or calibration, a loss of scans, a reset of the rig, or, before the
+    first row, an unsound window. After the first row, the progress is complete. Once the next row takes more windows
+    than the newest one averaged, it is the progress towards that.
     """
 
     windows: int  # number since the last change; at most `needed`
@@ -186,7 +187,8 @@ class Progress:
     def reason(self) -> str:
         """Sentence for users that the row is delayed because a sphere may still strike; empty if it is not delayed.
 
-        It states how long the row waits at most, in seconds since the last impact.
+        It states how long the row waits at most, in seconds since the last impact, or since the drive started or the
+        gap was labelled if that is later.
         """
         if not self.quiet.is_waiting:
             return ""
@@ -260,8 +262,9 @@ class Judge:
     def unsettled(self, rest: Cycles | None) -> Measurement | None:
         """Return a measurement of the kept cycles of a record that ends before its first row; None if a row was given.
 
-        Kept are at most the newest `long_windows` windows. `rest` are the complete cycles after them. The status of a
-        measurement with numbers is `not_settled`, because the remaining transient is unknown.
+        Rows of unsound windows do not count. Kept are at most the newest `long_windows` windows. `rest` are the
+        complete cycles after them. The status of a measurement with numbers is `not_settled`, because the remaining
+        transient is unknown.
         """
         if self._reported:
             return None

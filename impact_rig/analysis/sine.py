@@ -174,8 +174,9 @@ def _finished(
 ) -> SineFit:  # fmt: skip
     """Return the result of a fit: the solution of the least-squares problem as phasors with uncertainties.
 
-    `y` are the samples divided by `scale`. If the frequency was fitted, its column is the last one of the design, and
-    `middle_s` is the time from the first sample to the middle of the record [s]; otherwise None.
+    `y` are the samples divided by `scale`; `normal` is the inverse of the normal matrix of `design`. If the frequency
+    was fitted, its column is the last one of the design, and `middle_s` is the time from the first sample to the middle
+    of the record [s]; otherwise None.
     """
     residual = y - design @ solution
     freedom = len(y) - design.shape[1]

@@ -137,7 +137,8 @@ class Behaviour:
 def classify(deviation: Complex, noise_variance: float, tolerance: float, strikes: NDArray[np.uint8]) -> Behaviour:
     """Classify a response by its drive cycles.
 
-    It is periodic if it repeats after a few of them, else modulated (a few spectral lines) or chaotic (a continuum).
+    It is periodic if it repeats after at most `LONGEST_PERIOD` and n/4 of them, else modulated (a few spectral lines)
+    or chaotic (a continuum). The spectrum is that of ε, or that of the impact phases if the amplitude repeats.
 
     Args:
         deviation: deviation ε_k of the fundamental of x_1 in each cycle from its mean, relative to this, shape (n,).
@@ -202,8 +203,8 @@ def _strikes_repeat(strikes: Bytes, period: int) -> bool:
 
     `strikes` has shape (n, bins): 1 where a cycle has an impact in that bin of the drive phase, else 0. A bin is
     regular in a class of cycles k mod `period` if most cycles of the class have an impact in it or in a neighbouring
-    bin. The impacts repeat if nearly all of them are in regular bins. A cycle without an impact in a regular bin proves
-    nothing, because weak impacts may be missed.
+    bin. The impacts repeat if nearly all of them are in regular bins, or if there are none. A cycle without an impact
+    in a regular bin proves nothing, because weak impacts may be missed.
     """
     n, bins = strikes.shape
     regular, impacts = 0, 0

@@ -181,7 +181,7 @@ class Tracker:
 
         The first calibration applies to all scans. Another one applies from its stamp on, and discards the measurement
         in progress: its row has only a status. If the table has another time of scan 0 or another scan rate than the
-        last one, the rig was reset: the scans from then on are measured as a new record.
+        last one, the rig was reset: the scans from its new scan 0 on are measured as a new record.
 
         Args:
             info: a table `daq/info`, one row per channel.
@@ -223,7 +223,8 @@ class Tracker:
 
         Args:
             applied: a table `shaker/applied`; each row applies from the stamp of the table plus its `time` on. If the
-                scans from then on have been measured already, it applies to the next scan, and is counted as late.
+                scans from then on have been measured already, it applies to the first scan not measured yet, and is
+                counted as late.
 
         Raises:
             ConfigError: the table is invalid, or one of its times is not a number or is too large.

@@ -136,8 +136,8 @@ def budget(rows: NDArray[np.void], calibration: Calibration, lag_uncertainty: fl
 def _curve(calibration: Calibration, channel: int, amplitude: float) -> float:
     """Return the relative standard uncertainty of a channel's gain because its sensor is not exactly linear.
 
-    `amplitude` is that of the vibration, in the unit of the channel. For a very small one, the result is 1.5 u(c_3) L/R
-    (`Calibration.gain_uncertainty_at`).
+    `amplitude` is that of the vibration, in the unit of the channel. For a very small one, the result is
+    1.5 u(c_3) L/R, where L is the `linearity`, R half the range, and u(c_3) = 1/√6 (`Calibration.gain_uncertainty_at`).
     """
     half_range = float(calibration.high[channel] - calibration.low[channel]) / 2.0
     share = amplitude / half_range

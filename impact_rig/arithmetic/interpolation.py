@@ -65,7 +65,8 @@ NODE_AT, TO_MONOMIALS, _SHORTENED = _chebyshev()
 def through_nodes(values: Reals, coefficients: Reals) -> None:
     """Compute the coefficients, constant first, of the polynomial in x that has `values` at the nodes.
 
-    The nodes are in ascending order. Both arrays have the shape (NODES,); `coefficients` is overwritten.
+    The nodes are the Chebyshev points `NODE_AT`, in ascending order. Both arrays have the shape (NODES,);
+    `coefficients` is overwritten.
     """
     for j in range(NODES):
         total = 0.0
@@ -100,7 +101,7 @@ def polynomials(
     Args:
         of: function of instants, given as their ticks and offsets into these [s], that returns the quantities, shape
             (quantities, instants).
-        tick: tick of each piece.
+        tick: number of the tick (10 ms of the scan clock) in which each piece lies.
         start: start of each piece, offset into its tick [s].
         end: end of each piece, offset into its tick [s].
     """

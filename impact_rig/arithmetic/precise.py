@@ -207,7 +207,7 @@ def _correction(coefficients: Sequence[Decimal], z: Complex, others: list[Comple
 
 
 def _paired(found: list[Complex]) -> list[Complex] | None:
-    """Return the real roots, then those with a positive imaginary part, in the order of `roots`.
+    """Return the real roots, then those with a positive imaginary part, both sorted as `roots` returns them.
 
     A root counts as real, and loses its imaginary part, if that is below `_BLUR` times the real part. Return None if
     not every root of the latter has a conjugate: the number of roots left differs from theirs.

@@ -146,9 +146,10 @@ def _rejected(
 ) -> tuple[np.uint64, float, np.uint64, np.uint64, np.uint64, np.uint64]:
     """Accept or reject a candidate x for the magnitude of a normal number, and draw others until one is accepted.
 
-    x lies in a part of its layer that the layer above does not cover, where not every candidate is accepted. `bits` are
-    the random bits that x was made from. The result is the bits of the accepted magnitude, from which the caller takes
-    the sign, that magnitude, and the generator's next state.
+    x lies in a part of its layer that the layer above does not cover, where not every candidate is accepted. In the
+    lowest layer, a number of the tail replaces it. `bits` are the random bits that x was made from. The result is the
+    bits of the accepted magnitude, from which the caller takes the sign, that magnitude, and the generator's next
+    state.
     """
     while True:
         layer = np.int64(bits & _BYTE)
@@ -211,9 +212,10 @@ _FILTER_STATE = np.dtype(
 
 
 class BandPass(NamedTuple):
-    """Digital band-pass filter: a factor for the input, then second-order sections in series (`filter_in_place`).
+    """Digital band-pass filter: a factor for the input (`gain`), then second-order sections in series.
 
-    `sections` are records of their coefficients a_1 and a_2; the least resonant section is the first.
+    `filter_in_place` applies the sections, but not `gain`. `sections` are records of their coefficients a_1
+    and a_2; the least resonant section is the first.
     """
 
     gain: float
@@ -286,7 +288,7 @@ class BandNoise:
 
     Args:
         band: filter of the noise.
-        random: source of white noise.
+        random: source of white noise for this stream alone, which draws more numbers from it than are requested.
     """
 
     _CHUNK = 256  # numbers computed at once, few enough to keep the filter's arrays small
@@ -307,7 +309,7 @@ class BandNoise:
         """Return the numbers first … first + count − 1, counted from 0.
 
         The first call must have `first` = 0. In each later call, `first` must be the index of a number that the call
-        before returned, or the index right after these. This is not checked: any other index gives wrong numbers.
+        before returned, or the index right after these. This is not checked: another index may give wrong numbers.
         """
         parts = [self._ready[first - self._first_ready :]]
         there = len(parts[0])
@@ -321,7 +323,7 @@ class BandNoise:
 
 @entry(_SECTION, _FILTER_STATE, REALS)
 def filter_in_place(sections: Records, states: Records, samples: Reals) -> None:
-    """Filter samples in place by second-order sections in series, each with its own state.
+    """Filter samples in place by second-order sections in series, and update the state of each.
 
     A section is (1 − z⁻²) / (1 + a_1 z⁻¹ + a_2 z⁻²), in transposed direct form II.
     """

@@ -121,7 +121,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[list[st
 def _rows(document: Mapping[str, Any]) -> Iterator[tuple[str, Row]]:
     """Yield name and properties of each topic, column, service and parameter of an interface document.
 
-    The additional property `taken` is true for what clients send to the rig.
+    The additional property `taken` is true for topics that clients publish, and for all services and parameters.
     """
     for name, topic in document["topics"].items():
         taken = topic["publisher"] in CLIENTS

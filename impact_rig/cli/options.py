@@ -54,7 +54,7 @@ def subcommand(
         commands: commands to which it is added, as passed to the function that registers it.
         name: name of the subcommand.
         run: function that runs it and returns the exit code, as `module:function`; None if it has subcommands.
-        sentence: what the subcommand does, for the list of commands and the head of its help page.
+        sentence: what the subcommand does, without a full stop, for the list of commands and the head of its help page.
         examples: command lines without the program's name, each with its purpose, for the end of the help page.
         more: further information, printed below the examples, such as exit codes.
     """
@@ -84,9 +84,10 @@ def add_output(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def add_figures(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options `--figures`, the directory of figures (None if not given), and `--format`, their formats (all).
+    """Add the options `--figures`, the directory of figures (None if not given), and `--format`, their formats.
 
-    `what` is the help text of `--figures`.
+    By default, `--format` selects all formats; the parsed arguments have them as `formats`. `what` is the help text of
+    `--figures`.
     """
     parser.add_argument("--figures", type=Path, metavar="DIR", help=what)
     parser.add_argument(
@@ -126,7 +127,7 @@ def add_rig(parser: argparse.ArgumentParser, ways: Sequence[str] = tuple(WAYS), 
         parser: parser of a command. If its user chooses another way than `PROCESS`, the program checks for ROS 2 before
             it runs the command.
         ways: places where the rig can run, of `WAYS`.
-        needs: what the configuration of a running rig must have, for the help.
+        needs: text appended to the help of `--through`, such as requirements on a running rig; begins with `. `.
     """
     places = ", ".join(f"{way} ({WAYS[way]})" for way in ways)
     parser.add_argument("--through", choices=ways, default=PROCESS, help=f"place where the rig runs: {places}{needs}")

@@ -149,7 +149,8 @@ def add_analyze(commands: Commands) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="also print measurements without a value of DT, with their status; --json always contains them",
+        help="also print measurements without a value of DT, with their status, which --json always contains; only for "
+        "the usual analysis",
     )
     add_run(parser)
     instead = parser.add_argument_group("analyses instead of the usual one").add_mutually_exclusive_group()
@@ -258,7 +259,8 @@ def add_replay(commands: Commands) -> None:
         nargs="+",
         default=[],
         metavar="TOPIC",
-        help="topics to publish, with or without namespace; with --peers, daq/scan must be one of them (default: all)",
+        help="topics to publish, with or without namespace; with --peers, daq/scan must be one of them (default: all "
+        "but those of other rigs). daq/ack and the recorded /clock are never published",
     )
     parser.add_argument(
         "--loop", action="store_true", help="replay the run, with the same stamps, again and again until Ctrl-C"

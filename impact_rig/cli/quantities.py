@@ -79,7 +79,7 @@ class Quantity:
         """Return the value of `text` in the SI unit, or that of a word in `words`.
 
         `6mm` gives exactly the number 0.006. Only a length needs its unit. With `names`, any other text is returned
-        unchanged, as the name of a signal.
+        unchanged, as the name of a signal, also a number with a unit that is not allowed.
 
         Raises:
             ConfigError: the text is neither a word nor a number in the allowed range, or its unit is missing or not

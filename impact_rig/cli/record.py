@@ -190,7 +190,7 @@ def _why_nothing(found: RunMeasurements, seconds: float, early: str) -> str:
     """Return why a run has no DT, as text.
 
     Args:
-        found: measurements of the run, none of which is settled.
+        found: measurements of the run, without a `budget`.
         seconds: length of the run in rig time [s].
         early: reason why the run ended early; empty if it has its full length.
     """

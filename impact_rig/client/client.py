@@ -80,7 +80,8 @@ class Received:
 class Collector:
     """Store of all messages received on one topic, without limit, until `clear`.
 
-    Messages that are not valid tables of the topic are counted (`refused`) and dropped.
+    Messages that are not valid tables of the topic are counted (`refused`) and dropped; on a topic of `listen`, they
+    are kept.
 
     Args:
         topic: the topic.
@@ -112,7 +113,7 @@ class Collector:
             on_message(message)
 
     def then(self, on_message: Callable[[Received], None]) -> None:
-        """Call `on_message`, too, with each message that arrives from now on, except invalid tables, which are dropped.
+        """Call `on_message`, too, with each message that arrives and is kept from now on, as `Received`.
 
         Functions given earlier are still called.
         """
@@ -124,22 +125,25 @@ class Collector:
         return [message.data for message in self.received]
 
     def tables(self, since: int = 0) -> list[Table]:
-        """Return the tables received, oldest first, without the first `since` of them; only on a topic with tables."""
+        """Return the tables kept since the start or `clear`, oldest first, without the first `since` of them.
+
+        The topic must carry tables.
+        """
         return [message.table or codec.decode(message.data) for message in self.received[since:]]
 
     def last(self) -> Table | None:
-        """Return the newest table received, or None if there is none."""
+        """Return the newest table received since the start or `clear`, or None if there is none."""
         found = self.tables(-1)
         return found[0] if found else None
 
     def entries(self, since: int = 0) -> list[JournalEntry]:
-        """Return the journal entries received on `rig/journal`, oldest first, without the first `since` of them."""
+        """Return the journal entries kept from `rig/journal`, oldest first, without the first `since` of them."""
         return [JournalEntry.from_line(message.data.data) for message in self.received[since:]]
 
     def rows(self) -> NDArray[np.void]:
-        """Return the rows of all tables received, one after the other; shape (n,), with n = 0 before the first.
+        """Return the rows of all tables kept, one after the other; shape (n,), with n = 0 if none is kept.
 
-        On a topic of `listen`, the columns are unknown before the first table: it then raises an AssertionError.
+        On a topic of `listen`, the columns are unknown without a table: it then raises an AssertionError.
         """
         parts = [table.rows for table in self.tables()]
         assert parts or self.topic.columns is not None, (
@@ -281,7 +285,7 @@ class Spinner:
         self._working_s = 0.0
 
     def waited_s(self) -> float:
-        """Return the time [s] on a monotonic clock for time limits that stops during long callbacks.
+        """Return the time [s] of a monotonic clock for time limits, which stops during long callbacks.
 
         A callback may compile code. The clock runs for at most `longest_s` seconds in each call of `spin`.
         """
@@ -397,7 +401,10 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """End the nodes that this client hosts, and destroy its own node, executor and ROS context."""
+        """End the nodes that this client hosts, and destroy its own node, executor and ROS context.
+
+        The watched node processes continue.
+        """
         with defer_signals():
             for node in self._hosted:  # nodes of this package finish their work while the executor still runs
                 if hasattr(node, "close"):
@@ -548,7 +555,7 @@ class Client:
             node: a node from `host`.
 
         Returns:
-            Number of the node's subscriptions to daq/scan.
+            Number of the node's present subscriptions to daq/scan; later ones are not acknowledged.
         """
         name = self.node.resolve_topic_name(topics.SCAN.name)
         found = [subscription for subscription in node.subscriptions if subscription.topic_name == name]
@@ -577,7 +584,7 @@ class Client:
         Raises:
             CommandError: both values are None, or the rig rejected the command; then the message is that of the rig. If
                 it rejected only the current, the new frequency stays applied.
-            TimeoutError: the rig neither applied nor rejected it in time.
+            TimeoutError: the rig neither applied nor rejected it in time, or is not active.
             GoneError: the rig that received it is gone.
             ValueError: the client was made with `commands=False`.
         """
@@ -680,8 +687,9 @@ class Client:
             The message in the rig's answer.
 
         Raises:
-            ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or a peer does not
-                acknowledge; the message says which.
+            ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or the step ended with
+                an error, perhaps after some of its blocks: a peer does not acknowledge, samples of the drive are
+                missing, or the rig was reset, deactivated or resumed. The message says which.
             TimeoutError: the rig did not answer in time.
             GoneError: the rig is gone.
         """
@@ -899,11 +907,12 @@ class Client:
         """Subscribe to any topic, such as an output of the pipeline under test, and keep all its messages.
 
         Message type and reliability are those of the topic's first publisher. `tables()` decodes the messages of a
-        topic with tables; unlike in `collect`, invalid ones are kept, and then raise a CodecError.
+        topic with tables; unlike in `collect`, invalid ones are kept, and then raise a CodecError. Messages published
+        before the call are not received, not even latched ones (`transient_local`).
 
         Args:
             name: topic name, relative to the namespace or absolute.
-            on_message: called after each message.
+            on_message: called with each message, as `Received`.
             timeout_s: time limit for the publisher to appear, and again for the connection to it [s].
 
         Returns:

@@ -188,8 +188,8 @@ class Processes:
     def stop(self, *names: str, timeout_s: float = STOP_TIMEOUT_S) -> dict[str, int]:
         """End the named processes, or all of them without names, and return their exit codes by name.
 
-        Each gets SIGINT, after `timeout_s` seconds SIGTERM, and 2 s later SIGKILL. A process that a signal has ended
-        has the negative number of the signal as its code.
+        Each gets SIGINT. One that still runs gets SIGTERM after `timeout_s` seconds, and SIGKILL 2 s later. A process
+        that a signal has ended has the negative number of the signal as its code.
 
         Raises:
             KeyError: there is no process of a given name; none is ended then.

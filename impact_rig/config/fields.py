@@ -62,14 +62,14 @@ class FieldInfo:
 
     Attributes:
         doc: meaning, in one sentence.
-        unit: SI unit; `-` for none.
+        unit: unit, such as `N/m` or `blocks`; `-` for none.
         origin: origin of the default.
         low: lower bound; None for none.
         high: upper bound; None for none.
         low_open: whether the value must be greater than `low`, not equal to it.
         high_open: whether the value must be less than `high`, not equal to it.
         choices: allowed words; empty for a value that is not a word.
-        read_only: whether the value cannot change after the start of the rig.
+        read_only: whether the value cannot change after the start of the rig or node that it configures.
         pattern: regular expression that a text must match completely; empty if any text is allowed.
         means: description, for messages, of the texts that `pattern` allows.
     """
@@ -97,7 +97,10 @@ class FieldInfo:
         return self.doc[:1].lower() + self.doc[1:].rstrip(".")
 
     def range_text(self) -> str:
-        """Return the allowed numbers, words or texts, for messages: `> 0 and <= 1`, `one of sine, chirp`."""
+        """Return the allowed numbers, words or texts, for messages: `> 0 and <= 1`, `one of sine, chirp`.
+
+        The result has no meaning for a value that is true or false, or a list of texts.
+        """
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.means:
@@ -271,7 +274,7 @@ def integer(
     at_most: int | None = None,
     read_only: bool = False,
 ) -> Any:
-    """Return the attrs field of an integer of at most 64 bits with a unit; its value may be equal to its bounds."""
+    """Return the attrs field of an integer of magnitude below 2**64 with a unit; it may be equal to its bounds."""
     about = FieldInfo(doc, unit, low=at_least, high=at_most, read_only=read_only)
     return _field(default, about, _check_int)
 

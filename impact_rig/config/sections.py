@@ -236,7 +236,10 @@ class Daq:
 
 @attrs.frozen(kw_only=True)
 class Time:
-    """Pace of rig time, and the nodes (peers) whose acknowledgements rig time waits for."""
+    """Pace of rig time, and the nodes (peers) that it waits for.
+
+    It waits for their acknowledgements of each block or, in `realtime`, only before scan 0 for their subscriptions.
+    """
 
     mode: str = choice(
         "realtime",

@@ -104,7 +104,7 @@ class Tree(Generic[Root]):
         return changed
 
     def to_flat(self, config: Root) -> dict[str, Value]:
-        """Return every value of `config` by its dotted name, which is also the name of the rig node's parameter."""
+        """Return every value of `config` by its dotted name, which is also the name of the node's parameter."""
         return {name: operator.attrgetter(name)(config) for name in self._known}
 
     def differences(self, config: Root, before: Root | None = None) -> dict[str, Value]:

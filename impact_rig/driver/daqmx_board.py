@@ -108,7 +108,7 @@ class BoardChannel:
         name: name of the channel within the task.
         physical: name of the channel on the board without the device, e.g. `ai0`.
         device: name of the device, e.g. `Dev1`.
-        low: smallest value of the range [unit of the channel].
+        low: smallest value of the range [unit of the channel]; values of an input are not limited to the range.
         high: largest value of the range [unit of the channel].
         per_volt: value in the unit of the channel that corresponds to one volt at the board.
         unit: unit of the values: `Volts`, or that of an acceleration.
@@ -147,7 +147,7 @@ class DaqmxTask:
         name: name of the task.
         kind: "ai" (input) or "ao" (output); empty without channels.
         channels: channels of the task.
-        rate_hz: samples per second of its clock; 0 means no clock: each call reads or writes at once.
+        rate_hz: samples per second of its clock; 0 means no clock: samples are read or written on demand.
         samples: number of samples per channel of a finite task; None means a continuous task.
         clock_samples: number of samples per channel as given to `configure_clock`, for a continuous task, too.
         buffer_samples: size of its buffer as set by the client; None means the size that NI-DAQmx would choose.
@@ -163,7 +163,7 @@ class DaqmxTask:
         error: error that ended the task; None if there was none.
         acquisition: input of the rig, from the start of an input task until `Board.stop`, even if done; else None.
         output: output of the rig, from the start of an output task until it ends; else None.
-        data: samples of an output that are still to be played, or are repeated [V].
+        data: samples of an output that are not passed to the rig yet, or are repeated [V].
     """
 
     name: str
@@ -224,7 +224,10 @@ class DaqmxTask:
 
     @property
     def progress(self) -> int:
-        """Number of samples per channel since the start: acquired by an input; of an output, given to the rig."""
+        """Number of samples per channel since the start: acquired by an input; of an output, given to the rig.
+
+        Samples of an input that were overwritten before they were read do not count.
+        """
         return self.passed + self.available
 
     @property
@@ -232,8 +235,8 @@ class DaqmxTask:
         """Size of the task's buffer [samples per channel]: as set by the client, or as NI-DAQmx chooses it.
 
         The chosen buffer of an output is as large as `data`: all samples written before the start or, if they are not
-        repeated, those still to be played. That of a finite input is as large as its number of samples. That of a
-        continuous input depends on the rate and has room for at least `clock_samples`.
+        repeated, those not passed to the rig yet. That of a finite input is as large as its number of samples. That of
+        a continuous input depends on the rate and has room for at least `clock_samples`.
         """
         if self.buffer_samples is not None:
             return self.buffer_samples
@@ -251,7 +254,7 @@ class Board:
     Hold `changed` while you call a method, except `close`.
 
     Args:
-        config: configuration of the rig that is simulated here.
+        config: configuration of the rig that is simulated here; its drive becomes a stream, and tasks set its rates.
         rig: running rig to use instead; its rates cannot be changed.
         devices: names under which clients find the board.
 
@@ -445,7 +448,7 @@ class Board:
 
         Args:
             task: the task.
-            rate_hz: samples per second, rounded to a whole number.
+            rate_hz: samples per second, at least 1, rounded to a whole number.
             samples: number of samples per channel of a finite task; otherwise a hint for the size of the buffer.
             finite: whether the task ends after this number of samples.
 
@@ -505,7 +508,7 @@ class Board:
             DaqmxError: the task has no channels, an output task has no samples, another task is using the inputs or the
                 output, or the rig cannot run at the task's rate.
             CommandError: the drive of a running rig is not a stream.
-            ConfigError: the blocks of a running rig are too long for an output.
+            ConfigError: for an output, the blocks of a running rig are too long or `drive.stream_buffer_s` too short.
         """
         if task.is_active:
             return
@@ -623,7 +626,7 @@ class Board:
         Before the start, samples are added to the buffer; if it is full, its oldest are dropped. They replace the
         buffer of a task that has ended, unless it was stopped since. While the task runs, a buffer that the output
         repeats is overwritten in a circle, from where the last call ended. In a buffer that is not repeated, new
-        samples follow those that are still to be played.
+        samples follow those that are still to be passed to the rig.
 
         Args:
             task: the task.
@@ -636,7 +639,8 @@ class Board:
             DaqmxError: the task has no output, cannot be started or has failed, a sample is out of range, the buffer
                 had no space in time, or `auto_start` is false for a task without a clock that is not running.
             CommandError: the task is to be started, and the drive of a running rig is not a stream.
-            ConfigError: the task is to be started, and the blocks of a running rig are too long for an output.
+            ConfigError: the task is to be started, and the blocks of a running rig are too long for an output, or
+                `drive.stream_buffer_s` is too short.
         """
         if task.kind != "ao":
             raise DaqmxError(
@@ -738,7 +742,10 @@ class Board:
     # Work of the thread
 
     def _pump(self) -> None:
-        """Advance rig time with wall time, and supply running tasks, until the board is closed; run by its thread."""
+        """Advance rig time with wall time, and supply running tasks, until the board is closed; run by its thread.
+
+        A running rig of another program advances by itself.
+        """
         while not self._ended:
             with self.changed:
                 rig = self._rig
@@ -823,6 +830,8 @@ class Board:
 
     def _prepare(self, task: DaqmxTask) -> RigDriver:
         """Return the rig at the rates that `task` and the other tasks need; create a new one if the rates differ.
+
+        A new rig starts at rig time 0, without the motion of the one before.
 
         Raises:
             DaqmxError: the rig cannot run at these rates, or an active task needs the present ones.

@@ -88,7 +88,10 @@ def _served(method: Callable[..., dict[str, Any] | None], name: str = "") -> Cal
 
 
 def _abort(context: Any, code: Code, message: str, transferred: Sequence[tuple[str, str]] = ()) -> None:
-    """End a gRPC call with an error code and message of NI-DAQmx, in the form that the `nidaqmx` package expects."""
+    """End a gRPC call with an error code and message of NI-DAQmx, in the form that the `nidaqmx` package expects.
+
+    `transferred` is further metadata (key, value) that the package expects for a failed read or write.
+    """
     context.set_trailing_metadata((("ni-error", str(int(code))), *transferred))
     context.abort(_load("grpc").StatusCode.UNKNOWN, message)
 
@@ -164,7 +167,10 @@ class Service:
 
     @_served
     def ResetDevice(self, request: Any, context: Any) -> None:
-        """Stop all tasks of the board, which is one device under all its names; fail if the name is none of these."""
+        """Stop all tasks of the board, which is one device under all its names; fail if the name is none of these.
+
+        The tasks and their settings remain.
+        """
         self.board.physical_channels(f"{request.device_name}/ai0", "ai")
         for task in self.board.tasks.values():
             self.board.stop(task)
@@ -611,10 +617,10 @@ def serving(board: Board, address: str) -> Iterator[tuple[Any, int]]:
 
     Args:
         board: the rig as a board.
-        address: host and port to listen on, `HOST:PORT`.
+        address: host and port to listen on, `HOST:PORT`; for port 0, the system chooses a free one.
 
     Raises:
-        ImpactRigError: the extra `nidaqmx` is not installed, or the address cannot be used.
+        ImpactRigError: the extra `nidaqmx` is not installed, or the address cannot be used; the board is not closed.
     """
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")  # an address that cannot be used has the message below
     grpc = _load("grpc")

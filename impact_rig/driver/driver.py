@@ -64,7 +64,7 @@ class StreamLevel(NamedTuple):
     """State of the buffer in a rig that holds the samples of its drive (`drive.waveform: stream`).
 
     Attributes:
-        sample: number of the next sample to play, counted from scan 0.
+        sample: number of the next sample to play, counted from scan 0 at the rate of the stream.
         buffered: number of samples in the buffer from `sample` on, up to the first gap.
         capacity: number of samples that the buffer can hold.
         late: number of samples dropped because they arrived too late, since the start or the last reset of the rig.
@@ -111,7 +111,7 @@ class RigDriver(abc.ABC):
     """Interface of a rig that a program operates; `LocalRig` and `RosRig` implement it.
 
     Args:
-        name: name of the rig in reports and messages.
+        name: name of the rig in reports and error messages.
         config: configuration of the rig.
 
     Attributes:
@@ -151,7 +151,9 @@ class RigDriver(abc.ABC):
 
     @abc.abstractmethod
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
-        """Advance by whole blocks of scans; return when the nodes under test, if any, have processed all of them.
+        """Advance by whole blocks of scans; in lockstep, return when the nodes under test have processed all of them.
+
+        A rig that runs by itself is not advanced: the call returns when that many further blocks have arrived.
 
         Args:
             blocks: number of blocks.
@@ -190,7 +192,8 @@ class RigDriver(abc.ABC):
     def configure(self, changes: Mapping[str, Any]) -> RigConfig:
         """Change configuration values from the first scan not measured yet; return the new configuration.
 
-        Values of `drive` and the seed apply only from the next reset.
+        Values of `drive` and the seed apply only from the next reset. A change of the mechanics puts the sphere back to
+        `sphere.start`.
 
         Args:
             changes: new values, `section.key` -> value.
@@ -390,6 +393,8 @@ class RigDriver(abc.ABC):
     ) -> int:
         """Command the drive: frequency of a sine, and amplitude of any drive except a stream.
 
+        A new frequency acts at once; the amplitude moves linearly to its new value within `shaker.ramp_s`.
+
         Args:
             frequency_hz: new frequency [Hz], within the shaker's range (by default 5 to 200); None leaves it unchanged.
             current_a: new amplitude, peak (rms for a random drive), in A, m or V by `drive.kind`, from 0 to the
@@ -476,11 +481,13 @@ class RigDriver(abc.ABC):
     def expected_transmissibility(self, frequency_hz: float) -> complex:
         """Return the transmissibility X_1 / X_b of a rig without its sphere in closed form.
 
+        X_1 and X_b are the displacements of superior and inferior base.
+
         Args:
             frequency_hz: frequency [Hz].
 
         Returns:
-            Complex ratio; its magnitude is DT, its argument the phase [rad].
+            Complex ratio; its magnitude is DT (displacement transmissibility), its argument the phase [rad].
 
         Raises:
             ConfigError: the sphere is present.
@@ -552,7 +559,7 @@ class RigDriver(abc.ABC):
         """Return a report about this rig, of several lines, for a failed test.
 
         It lists the settings that differ from the defaults (except `time`), the faults, the first five ranges of scans
-        that were not published, and the last ten changes of the drive.
+        lost since the last `clear` or reset, and the last ten changes of the drive.
         """
         values = to_flat(self.config)
         changed = [key for key, value in values.items() if value != _DEFAULTS[key] and not key.startswith(_HIDDEN)]

@@ -152,6 +152,9 @@ class AnalogOutput:
     def write(self, samples: ArrayLike, timeout_s: float = TIMEOUT_S) -> int:
         """Append samples, and return once the buffer has accepted them; without `start`, they are kept until `start`.
 
+        If the buffer is full, a rig that does not run by itself is advanced. If another thread calls `stop` meanwhile,
+        the samples not accepted yet are dropped.
+
         Args:
             samples: samples [A, m or V by `drive.kind`], shape (n,).
             timeout_s: longest wait for space in the buffer [s of wall time].
@@ -310,6 +313,8 @@ class Acquisition:
     def read(self, count: int, timeout_s: float = TIMEOUT_S) -> NDArray[np.void]:
         """Return the next `count` scans as soon as they have arrived; start the acquisition if necessary.
 
+        A rig that does not run by itself is advanced until they have arrived.
+
         Args:
             count: number of scans.
             timeout_s: longest time without a new scan [s of wall time].
@@ -429,7 +434,7 @@ class Exchange:
 
     The scans that a call returns were taken while the rig played the samples that lie `lag` samples before those of the
     call. When a call returns, the rig therefore has samples for the duration of the lag, so the caller may wait as long
-    before the next call.
+    before the next call. The constructor starts output and acquisition, so this also applies to the first call.
 
     Args:
         hardware: output and acquisition, with equal rates.
@@ -489,7 +494,8 @@ def _refresh(rig: RigDriver) -> None:
 def _advance(rig: RigDriver, deadline: float, what: str) -> None:
     """Advance rig time by one block, and drop the rig's tables, except those of `ESSENTIAL`.
 
-    If the rig lacks samples for the block, wait until another thread writes some, or until the deadline.
+    Of a rig that runs by itself, wait at most `SLICE_S` for a block. If another rig lacks samples for the block, wait
+    until another thread writes some, or until the deadline. In both cases the call can return without a new block.
 
     Args:
         rig: the rig.
@@ -497,8 +503,8 @@ def _advance(rig: RigDriver, deadline: float, what: str) -> None:
         what: what is awaited, for the error message.
 
     Raises:
-        TimeoutError: the deadline has passed.
-        CommandError: the shaker of the rig has stopped.
+        TimeoutError: the rig did not advance, and the deadline has passed.
+        CommandError: the rig did not advance, because its shaker is stopped.
     """
     left = max(0.0, deadline - time.monotonic())
     with rig.turns:

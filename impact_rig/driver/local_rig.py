@@ -74,7 +74,7 @@ class LocalRig(RigDriver):
         config: the configuration, or the values that differ from the paper's rig, `section.key` -> value, as in
             docs/reference/configuration.md. None means the paper's rig.
         faults: instrument faults to plan, in addition to those of the configuration.
-        name: name of the rig in reports and messages.
+        name: name of the rig in reports and error messages.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, the gap [m] that the rows of
             the analysis state (0: no sphere; negative: unknown). An empty mapping means the defaults, None no analysis.
         record: new directory of a run to write while the rig moves; None means no recording.
@@ -295,7 +295,10 @@ class LocalRig(RigDriver):
 
     @property
     def waiting(self) -> str:
-        """Reason why the analysis still waits to finish a measurement; empty if nothing delays it."""
+        """Message that the analysis delays a measurement because the sphere may still strike; empty if it does not.
+
+        Empty does not mean that the measurement is finished. It is also empty without an analysis.
+        """
         progress = None if self.tracker is None else self.tracker.progress
         return "" if progress is None else progress.reason
 

@@ -96,9 +96,11 @@ class RosRig(RigDriver):
 
     Args:
         config: the configuration, or the values that differ from the defaults of a lockstep rig, `section.key` ->
-            value, as in docs/reference/configuration.md; for a running rig, the values that it must have.
+            value, as in docs/reference/configuration.md. For a running rig, the values that it must have; of a
+            `RigConfig`, only those that differ from the defaults are checked.
         faults: instrument faults to plan, in addition to those of the configuration; only for a new rig.
-        name: name of the rig in reports and messages.
+        name: name of the rig in reports and error messages; the node is always named `rig`. A recorder for a running
+            rig is the node `NAME_recorder`.
         directory: folder of the logs, which is kept; None means a temporary one that `close` removes.
         analysis: fields of `TrackerSettings` that differ from their defaults, and `gap_m`, as for `LocalRig`. They
             become parameters of an analysis node. None means no analysis, {} one with the defaults.
@@ -287,8 +289,8 @@ class RosRig(RigDriver):
         """Create a node under test in this process, and make the rig wait for its callbacks.
 
         In lockstep, `step` returns when they have processed all blocks of the step. Within it, as always in
-        `free_running`, the rig is at most `time.ack_window` blocks ahead of them (by default 8 for a new rig). A
-        `realtime` rig does not wait.
+        `free_running`, the rig is at most `time.ack_window` blocks ahead of them (by default, for a new rig, 8 or the
+        blocks of 0.1 s if these are fewer). A `realtime` rig does not wait.
 
         The node's code need not be changed. Its callbacks run in this thread while this object waits, without a time
         limit.
@@ -389,8 +391,9 @@ class RosRig(RigDriver):
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
         """Advance by whole blocks of scans; return when every peer has processed them.
 
-        The peers are this program, recorder, analysis and the nodes under test. A rig that runs by itself is not
-        advanced: the call returns when that many further blocks have arrived.
+        The peers of a new rig are this program, recorder, analysis and the nodes under test; those of a running rig are
+        in its parameter `time.peers`. A rig that runs by itself is not advanced: the call returns when that many
+        further blocks have arrived, whether or not other nodes have processed them.
 
         Args:
             blocks: number of blocks.
@@ -473,7 +476,7 @@ class RosRig(RigDriver):
 
         Raises:
             ConfigError: the rig keeps no tables of this topic; the argument `also` of the rig adds topics.
-            TimeoutError: so many rows did not arrive within 10 s.
+            TimeoutError: so many rows did not arrive within 10 s; this call does not advance a rig in lockstep.
         """
         self.client.wait_until(lambda: len(self.rows(topic)) >= count, f"{count} rows of {topic}")
         return super().newest(topic, count)
@@ -532,7 +535,7 @@ class RosRig(RigDriver):
 
     @property
     def faults(self) -> list[Fault]:
-        """Planned instrument faults, and all injected ones, even if they have ended or their lines were removed.
+        """Planned instrument faults, and those injected since the last `restart` or `renew`, ended or removed ones too.
 
         `start_sample` of an injected fault is the scan number given to `inject`, counted from scan 0. The node's
         parameter instead states the start relative to the moment of injection.
@@ -553,8 +556,8 @@ class RosRig(RigDriver):
         """Send samples of the stream that drives the rig (`drive.waveform: stream`), on `shaker/waveform`.
 
         The rig's node checks them later. It ignores samples that arrive too late (`late` of `stream_level`). If a
-        sample is not finite or exceeds shaker or buffer, it drops all samples of the call, logs a warning and counts
-        the rejection.
+        sample is not finite or exceeds shaker or buffer, or a pluck has locked the base, it drops all samples of the
+        call, logs a warning and counts the rejection.
 
         Args:
             first: number of the first of these samples, counted from scan 0 at `stream_rate_hz`.
@@ -625,9 +628,9 @@ class RosRig(RigDriver):
     def renew(self, config: RigConfig) -> None:
         """Restart rig, analysis and recorder with another configuration, as if they were new, in the same processes.
 
-        The nodes under test are ended, and a recording of `record=True` is replaced by a new one. One in a directory
-        that the user chose is finished, and no new one begins. Between two tests, this is faster than to start new
-        processes.
+        Nodes of `host` and `start_node` are ended; the rig no longer waits for those of `follow`. A recording of
+        `record=True` is replaced by a new one. One in a directory that the user chose is finished, and no new one
+        begins. Between two tests, this is faster than to start new processes.
 
         Args:
             config: new configuration of the rig; settings that `restart` leaves unchanged are not applied.
@@ -755,7 +758,7 @@ class RosRig(RigDriver):
     def close(self) -> None:
         """End all node processes and nodes that this object started, which finishes its recording.
 
-        Temporary directories are removed. A rig that another program started goes on.
+        A temporary `directory` is removed with its logs and recording. A rig that another program started goes on.
         """
         super().close()
         self._stack.close()

@@ -31,7 +31,8 @@ GAP_M = 6e-3
 def make_sample(directory: Path) -> Path:
     """Record the sample run into `directory`, unless a complete one is there, and return `directory`.
 
-    A run is complete if it has all topics of `SAMPLE_TOPICS`. Anything else in the directory is deleted.
+    A run is complete if it has all topics of `SAMPLE_TOPICS`. A directory without one is deleted with all its contents
+    and replaced.
     """
     if directory.is_dir():
         try:

@@ -145,6 +145,8 @@ class Chain:
     def reconfigure(self, config: InstrumentSetup) -> None:
         """Change the settings of the instruments from the next tick on; counters, noise and faults continue.
 
+        The state of a sensor's filters continues if its dynamics are unchanged; otherwise it starts as at a reset.
+
         Raises:
             ConfigError: the list of channels, the scan rate, the seed or the planned faults differ, which is possible
                 only in a new chain; or the converter is too slow for the scan rate. Nothing is changed.
@@ -291,7 +293,7 @@ class Chain:
         A fault that would start at that scan or later never acts. Clearing a fault that has ended has no effect.
 
         Raises:
-            CommandError: no fault, planned or injected, has ever had this number.
+            CommandError: no fault, planned or injected, has had this number since the reset.
         """
         self._faults.clear(number, self.first_open_scan)
 
@@ -302,7 +304,8 @@ class Chain:
     def fault_rows(self, first_scan: int, count: int) -> NDArray[np.void]:
         """Return the starts and ends of faults in `count` scans from `first_scan` on, as `blocks.FAULTS` rows.
 
-        Call it once per block, in ascending order: it forgets the faults that ended before `first_scan`.
+        The end of a fault is the first scan that it no longer affects. Call this once per block, in ascending order: it
+        forgets the faults that ended before `first_scan`.
         """
         return self._faults.rows(first_scan, count)
 

@@ -283,7 +283,7 @@ class Sine:
     """Calibration sine that replaces a channel's input for some ticks.
 
     Attributes:
-        first_tick: number of the first tick in which it is on, at whose start its phase is zero.
+        first_tick: number of the first tick in which it is on, since the reset; its phase is zero at the start of it.
         ticks: number of ticks.
         frequency_hz: frequency.
         amplitude: peak value, in the channel's unit.

@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Coil current monitor of the power amplifier, to whose signal the phases of the other channels are related.
+"""Coil current monitor of the power amplifier, the phase reference of the other channels if it has a clear signal.
 
 Its dynamics are a first-order low-pass with a corner far above the drive frequency.
 """
@@ -28,7 +28,7 @@ from impact_rig.instruments.sensor import Sensor, lag
 
 @attrs.frozen(kw_only=True)
 class Current(Instrument):
-    """Settings of the power amplifier's coil current monitor; the phases of the other channels are relative to its."""
+    """Settings of the power amplifier's coil current monitor, which is the phase reference if it has a clear signal."""
 
     name = "current"
     place = 3

@@ -273,11 +273,13 @@ class FaultBoard:
         still stored, and so on the division into blocks.
 
         Raises:
-            CommandError: no fault has ever had this number.
+            CommandError: no fault has had this number since the reset.
         """
         if number is not None and not 0 < number <= self._last_number:
             known = f"1 to {self._last_number}" if self._last_number else "none"
-            raise CommandError(f"no fault number {number}; numbers of faults planned or injected so far: {known}")
+            raise CommandError(
+                f"no fault number {number}; numbers of faults planned or injected since the reset: {known}"
+            )
         chosen = [active for active in self._faults if number in (None, active.number)]
         for active in chosen:
             active.end = min(active.end, max(scan, active.fault.start_sample))
@@ -347,7 +349,8 @@ class FaultBoard:
     def rows(self, first: int, count: int) -> NDArray[np.void]:
         """Return starts and ends of faults in the scans first … first + count − 1, in order, as `blocks.FAULTS` rows.
 
-        Call it once per block, in ascending order: it forgets the faults that ended before the scan `first`.
+        The end of a fault is the first scan that it no longer affects. Call this once per block, in ascending order: it
+        forgets the faults that ended before the scan `first`.
         """
         if not self._faults:
             return _NO_ROWS

@@ -89,7 +89,9 @@ LIMITS = Fields(Limits, (float, float, float))
 
 
 class Pieces(NamedTuple):
-    """Smooth pieces of some ticks, in order; their times [s] count from the start of the piece's tick.
+    """Pieces of some ticks, in order, smooth except for short intervals that are joined.
+
+    Times [s] count from the start of the piece's tick.
 
     Attributes:
         first_piece: index of the first piece of each tick, then the number of all pieces; shape (ticks + 1,).
@@ -112,7 +114,7 @@ PIECES = Fields(Pieces, (INTEGERS, REALS, REALS, INTEGERS, float))
 def cut(
     breakpoints: tuple[NDArray[np.int64], NDArray[np.float64]], motion_tick: int, ticks: int, limits: Limits
 ) -> Pieces:
-    """Cut some ticks of a motion at its breakpoints into smooth pieces, and return these.
+    """Cut some ticks of a motion at its breakpoints into pieces, and return these.
 
     Args:
         breakpoints: the motion's breakpoints (tick, offset [s]), in order; those of other ticks are ignored.

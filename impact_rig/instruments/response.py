@@ -226,8 +226,8 @@ def _fill_polynomial(total: Reals, first: float, spacing: float, out: Reals) -> 
 def _add_ringing(mode: Record, largest: float, out: Reals) -> None:
     """Add a mode's free response to `out`, the outputs at a piece's conversions, at most to the first `rings_for`.
 
-    `largest` is the magnitude of the output without free responses. Nothing is added if the free response at the first
-    conversion is below the rounding error of `largest`.
+    `largest` is the result of `_fill_polynomial`, a scale of the output without free responses. Nothing is added if
+    the free response at the first conversion is below the rounding error of `largest`.
     """
     re, im, decay_re, decay_im = mode.free_re, mode.free_im, mode.decay_re, mode.decay_im
     if abs(re) + abs(im) <= _LOST * largest:

@@ -270,7 +270,7 @@ class Sensor:
         return 0.5 * (self.high + self.low)
 
     def measuring_range(self) -> tuple[float, float]:
-        """Return the range (low, high) in which neither sensor nor converter clips [unit of the sensor]."""
+        """Return the nominal range (low, high) in which neither sensor nor converter clips [unit of the sensor]."""
         ends = [(volt - self.offset_v) / self.volt_per_unit for volt in (-self.adc_range_v, self.adc_range_v)]
         return max(min(ends), self.low), min(max(ends), self.high)
 

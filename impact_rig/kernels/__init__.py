@@ -88,7 +88,7 @@ class RecordType(NamedTuple):
 
 
 class Function(NamedTuple):
-    """Type of an argument, as `entry` takes it: a compiled function, passed as a `Pointer`.
+    """Type of an argument, as `entry` takes it: a function, passed as a `Pointer`, or Numba's callback in mode `jit`.
 
     Attributes:
         arguments: types of its arguments.
@@ -118,7 +118,7 @@ class Pointer(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """Compiled function that Python calls, as `entry` declares it.
+    """Declaration, made by `entry`, of a compiled function that Python calls.
 
     Attributes:
         function: the function in Python.
@@ -133,7 +133,7 @@ class Entry(NamedTuple):
 
 
 class Exported(NamedTuple):
-    """Function that the library exports so that it can be passed to kernels as a `Pointer`.
+    """Declaration of a function that the library exports so that it can be passed to kernels as a `Pointer`.
 
     Attributes:
         function: the function in Python.
@@ -199,8 +199,8 @@ def has_code_of(path: Path, stamp: Sequence[str]) -> bool:
 def is_cut_off(path: Path) -> bool:
     """Return whether an ELF file (64 bit, little-endian) ends before its section headers, which linkers write last.
 
-    Any other file gives False. A library that was copied in part is not loaded, because the system's loader does not
-    check this: a signal would end the process.
+    Any other file, or one below 64 bytes, gives False. A library that was copied in part is not loaded, because the
+    system's loader does not check this: a signal would end the process.
     """
     with path.open("rb") as file:
         head = file.read(64)
@@ -301,14 +301,15 @@ def _compiled(function: FunctionT) -> FunctionT:
 
 
 def address(name: str) -> int:
-    """Return the address of a function that the library exports, 0 if there is no such function or no library."""
+    """Return the address of the library's function with this name in Python (not in C), 0 without it or a library."""
     return int(_LIBRARY.address(name)) if _LIBRARY is not None else 0
 
 
 def plan(arguments: tuple[Any, ...]) -> tuple[str, tuple[np.dtype[Any], ...]]:
-    """Return how the library unpacks arguments of these types, as a text of letters and the dtypes of the arrays.
+    """Return how the library unpacks arguments of these types, as a text of codes and the dtypes of the arrays.
 
-    Each letter stands for one argument, or for one field of a tuple; library.c explains the letters.
+    A code is a letter, an array's number of dimensions, or `(` and the number of fields before those of a tuple; see
+    library.c.
     """
     letters: list[str] = []
     dtypes: list[np.dtype[Any]] = []

@@ -144,12 +144,12 @@ def build(folder: Path = FOLDER, machine: str = "", keep: Path | None = None) ->
         folder: destination of the files.
         machine: machine to build for, named as by `platform.machine`; default: `this_machine`.
         keep: folder for the translated kernels (LLVM code). Those in it are used if the sources have not changed;
-            otherwise new ones are written into it. Default: a temporary folder.
+            otherwise new ones are written into it. Default: a temporary folder. Unused with the assembly of a release.
 
     Raises:
         SystemExit: the machine is not supported, the C compiler is missing or fails, the kernels cannot be translated,
-            or Python cannot load the new library. Without the assembly of a release, the translation needs the pinned
-            version of Numba.
+            or Python cannot load the new library (tried if it is for this machine). Without the assembly of a release,
+            the translation needs the pinned version of Numba.
     """
     began = time.monotonic()
     machine = machine or this_machine()
@@ -213,8 +213,9 @@ def _emit(bitcode: Path, machine: str) -> tuple[bytes, str]:
 def write_assembly(keep: Path, folder: Path) -> None:
     """Create `folder` and write the kernels as assembly into it, from which a C compiler builds them without Numba.
 
-    There is one file for each part of the kernels and each machine of `RELEASED`; `folder` must not exist yet. `keep`
-    is the folder for the translated kernels, see `translated`.
+    There is one file for each part of the kernels and each machine of `RELEASED`, in addition to the names and C
+    declarations of each part and the digests of the sources. `folder` must not exist yet. `keep` is the folder for the
+    translated kernels, see `translated`.
     """
     found = translated(keep)
     folder.mkdir()
@@ -281,8 +282,8 @@ def _check_loads(path: Path) -> None:
     if done.returncode:
         why = done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}"
         raise SystemExit(
-            f"the library of kernels was built, but Python cannot load it: {why}; name another C compiler in CC, or "
-            f"{WITHOUT}"
+            f"the new library of kernels is discarded, as Python cannot load it: {why}; name another C compiler in CC, "
+            f"or {WITHOUT}"
         )
 
 
@@ -350,7 +351,8 @@ def _compile(arguments: list[str]) -> None:
 def main() -> None:
     """Run the command of this module: build the kernels into a folder.
 
-    If those of the package are up to date, they are not built again but copied to the folder, unless it is their own.
+    For this machine, kernels of the package that are up to date are not built again but copied to the folder, unless it
+    is their own.
     """
     parser = argparse.ArgumentParser(
         description="Build the compiled kernels: a library for Python, and an object file with its header for C. Up-to-"

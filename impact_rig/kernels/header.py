@@ -96,7 +96,7 @@ def constants() -> str:
 
 
 def _names() -> Iterator[tuple[np.dtype[Any], str, dict[str, str]]]:
-    """Yield every record type of the loaded modules, its name for C, and the description of each of its fields."""
+    """Yield each record type in each loaded module, its name in C without `ir_`, and descriptions of fields, if any."""
     for module in [found for name, found in sys.modules.items() if name.startswith("impact_rig.")]:
         for name, value in vars(module).items():
             if isinstance(value, np.dtype) and value.names:
@@ -164,10 +164,10 @@ def _pieces(name: str, kind: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _append(name: str, kind: Any, parameters: list[str], slots: list[str], structs: dict[np.dtype[Any], str]) -> None:
-    """Append the C parameter for one piece of a kernel's arguments, and the C expressions that fill its slots.
+    """Append the C parameters for one argument, or field of a tuple, of a kernel, and the C expressions for its slots.
 
     Slots are the 64-bit words in which a kernel takes its arguments, see library.c.
-    A record type that the piece needs is added to `structs` (type -> name).
+    A record type that the argument needs is added to `structs` (type -> name).
     """
     if isinstance(kind, Function):
         parameters.append(f"void *{name}")

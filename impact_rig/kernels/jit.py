@@ -64,7 +64,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def pointer(function: Callable[..., Any], kind: Function) -> Any:
-    """Compile a function with the signature `kind` at once, and return it; kernels call it by its `address`."""
+    """Compile a function with the signature `kind` at once; return Numba's callback, whose `address` kernels call."""
     return _kept(lambda: cfunc(signature(kind), error_model="numpy")(function))
 
 

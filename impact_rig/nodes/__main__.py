@@ -126,7 +126,7 @@ rig, analysis, recorder, plot = (functools.partial(_run, node) for node in NODES
 def begin(node: str, use: Use, main: Callable[[Ending], None]) -> None:
     """Run the program of a node: show its help if requested, otherwise call `main`, which does the heavy imports.
 
-    On SIGINT or SIGTERM, the program cleans up and ends with exit code 0. If a launch file or
+    On SIGINT or SIGTERM, the program cleans up and ends with exit code 0. If a launch file of this project or
     `impact_rig.client.Processes` started it, it also ends when the process that started it is gone.
     """
     if show_help(node, use, sys.argv[1:]):

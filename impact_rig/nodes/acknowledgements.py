@@ -71,11 +71,11 @@ class _Reader:
 
 
 class AckWindow:
-    """Record of the blocks that each reader has acknowledged; it limits how far the rig runs ahead of its slowest peer.
+    """Record of the blocks that each reader has acknowledged; `room` is how many more blocks the rig may publish.
 
     A block is one message on `daq/scan`. A reader acknowledges by the stamp of the last block that it has processed,
     which covers all earlier blocks. Stamps are converted to numbers of blocks since the start of this record. The rig
-    waits for its peers; the other readers are only observed.
+    waits for its slowest peer when there is no room; the other readers are only observed.
 
     Args:
         peers: node names of the peers, which they also use in their acknowledgements.
@@ -107,7 +107,7 @@ class AckWindow:
     def set_peers(self, peers: Iterable[str]) -> None:
         """Replace the peers that the rig waits for; a new peer need not acknowledge blocks published before.
 
-        A former peer that has acknowledged a block is observed further; one that has acknowledged none is dropped.
+        Any other reader, such as a former peer, is observed further if it has acknowledged a block, otherwise dropped.
         """
         before, self.peers = self.peers, tuple(peers)
         for name in set(self.peers).difference(before):
@@ -118,7 +118,10 @@ class AckWindow:
                 del self._readers[name]
 
     def watch(self, name: str) -> None:
-        """Accept acknowledgements of one more reader, to observe how far it is behind; the rig does not wait for it."""
+        """Accept acknowledgements of one more reader, to observe how far it is behind; the rig does not wait for it.
+
+        Until its first acknowledgement, it is behind by all blocks of this record. A known reader stays unchanged.
+        """
         self._readers.setdefault(name, _Reader(0, self._clock()))
 
     def published(self, stamp_ns: int) -> None:
@@ -154,8 +157,8 @@ class AckWindow:
     def room(self) -> int:
         """Return how many more blocks may be published before the slowest peer must acknowledge one.
 
-        Without peers it is the whole window. It is negative after the window was reduced below the number of
-        outstanding blocks.
+        Without peers it is the whole window. It is negative if more blocks are outstanding: after the window was
+        reduced, or when a peer that the rig has continued without (see `waive`) acknowledges again.
         """
         return self.window - self.outstanding()
 
@@ -166,7 +169,8 @@ class AckWindow:
     def behind(self) -> dict[str, int]:
         """Return, by name of each reader (peer or not), how many published blocks it has not acknowledged.
 
-        It is 0 for a peer that the rig has continued without (see `waive`).
+        Blocks that `forgive` or `set_peers` has exempted do not count. It is 0 for a peer that the rig has continued
+        without (see `waive`).
         """
         return {name: self._owed(reader) for name, reader in self._readers.items()}
 
@@ -175,7 +179,10 @@ class AckWindow:
         return tuple(name for name, reader in self._readers.items() if reader.acknowledged is not None)
 
     def silent(self) -> tuple[str, ...]:
-        """Return the peers that have had blocks to acknowledge for longer than the timeout and acknowledged none."""
+        """Return the peers that have had blocks to acknowledge for longer than the timeout and acknowledged none.
+
+        Peers that the rig has continued without (see `waived`) are not among them.
+        """
         limit = self._clock() - self.timeout_ns
         owing = (name for name in self.peers if self._owed(self._readers[name]) > 0)
         return tuple(name for name in owing if self._readers[name].heard_ns < limit)
@@ -183,7 +190,8 @@ class AckWindow:
     def forgive(self, names: Iterable[str]) -> None:
         """Count all blocks published so far as acknowledged by these peers, and restart their timeout.
 
-        The rig still waits for these peers to acknowledge later blocks. Each name must be one of `readers`.
+        The rig still waits for these peers to acknowledge later blocks, except those of `waived`. Each name must be one
+        of `readers`.
         """
         for name in names:
             self._readers[name].forgiven, self._readers[name].heard_ns = self._published, self._clock()
@@ -191,17 +199,17 @@ class AckWindow:
     def heard_ns(self, name: str) -> int:
         """Return the time from which the silence of a reader is measured [ns of the clock given to this window].
 
-        It is the time at which the reader last acknowledged a further block. If it had then acknowledged every block,
-        it is the time at which the next block was published, once there is one. `forgive` and `excuse` set it to the
-        time of their call.
+        It is the time at which the reader last acknowledged a further block or, if later, was added or became a peer.
+        If it then had no block to acknowledge, it is the time at which the next block was published, once there is one.
+        `forgive` and `excuse` set it to the time of their call.
         """
         return self._readers[name].heard_ns
 
     def waive(self) -> None:
         """Let the rig continue without its silent peers; it waits for each of them again once that peer acknowledges.
 
-        All blocks published so far count as acknowledged by all peers. If every peer is silent, the rig continues only
-        for one more window of blocks and then waits for the peers again, so it never leaves all its peers behind.
+        All blocks published so far count as acknowledged by all peers. If every peer is in `silent` at this call, the
+        rig continues only for one more window of blocks and then waits for the peers again.
         """
         silent = self.silent()
         for name in silent if set(silent) != set(self.peers) else ():

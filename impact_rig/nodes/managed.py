@@ -185,7 +185,10 @@ class CpuMeter:
     _last: tuple[float, float] | None = None
 
     def percent(self) -> float:
-        """Return this process's processor time since the last call, in % of the elapsed time; 0 at the first call."""
+        """Return this process's processor time since the last call, in % of the elapsed time; 0 at the first call.
+
+        It exceeds 100 if several threads keep more than one core busy.
+        """
         now = (self.clock(), self.used())
         before, self._last = self._last, now
         if before is None or now[0] <= before[0]:
@@ -258,7 +261,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def configure(self) -> None:
         """Build the parts of the node and create its publishers, at the lifecycle transition `configure`.
 
-        If it raises an exception, the transition fails with that message, and `cleanup` is called.
+        If it raises an exception, this is logged, the transition fails, and `deactivate` and `cleanup` are called.
         """
 
     def activate(self) -> None:
@@ -271,7 +274,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         """
 
     def cleanup(self) -> None:
-        """Free what `configure` created, except publishers of `offer`; must work also if `configure` failed midway."""
+        """Free what `configure` created; must work also if `configure` failed midway.
+
+        The publishers of `offer` are destroyed by this base class afterwards.
+        """
 
     def settings_changed(self, settings: S, changes: dict[str, Any]) -> None:
         """Apply new, validated settings to the node; an exception rejects them, and all parameters keep their values.
@@ -306,7 +312,7 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return settings
 
     def autostarts(self) -> bool:
-        """Return whether the node configures and activates itself at start (parameter `autostart`)."""
+        """Return whether the node configures and activates itself at start: parameter `autostart`, True without it."""
         return bool(getattr(self.settings, "autostart", True))
 
     def rig_time_ns(self) -> int | None:
@@ -561,8 +567,8 @@ class ManagedNode(LifecycleNode, Generic[S]):
     def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the node's work and free what `configure` created, in any state; also used for shutdown and errors.
 
-        The node can then be configured again, unless it was shut down (finalized). An exception is logged, and the
-        result is then FAILURE.
+        After a success, the node can be configured again, unless it was shut down (finalized). An exception is logged,
+        and the result is then FAILURE.
         """
         return self._transition("clean up", self._free)
 
@@ -688,7 +694,10 @@ class ManagedNode(LifecycleNode, Generic[S]):
         return response
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Validate and set the parameters one after the other; a rejected one does not affect the others."""
+        """Validate and set the parameters one after the other; a rejected one does not affect the others.
+
+        It serves calls within this process. The service `set_parameters` uses `set_one_by_one`, which tries again.
+        """
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:

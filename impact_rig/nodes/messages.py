@@ -167,7 +167,7 @@ class Template:
 
 
 def put(message: Any, path: str, value: object) -> None:
-    """Set the field `path` of a message: `linear_acceleration.x`, or `position.2` for element 2 of a sequence."""
+    """Set the field `path` of a message: `linear_acceleration.x`, or `position.2` for index 2 of a sequence."""
     *parts, last = path.split(".")
     for name in parts:
         message = getattr(message, name)

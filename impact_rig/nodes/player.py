@@ -96,7 +96,7 @@ class Player:
         factor: seconds of rig time per second of wall time; None means as fast as the peers acknowledge.
         peers: names that nodes use in daq/ack; the player waits for these nodes, so that they lose no block.
         chosen: topics to replay, with or without namespace; empty means all but those of other rigs in the run.
-            `/clock` and `daq/ack` are never replayed.
+            `daq/ack` and the recorded `/clock` are never replayed; the player publishes a `/clock` of its own.
         paused: whether playback starts paused, until the service `~/pause` is called with `false`.
 
     Raises:
@@ -158,7 +158,8 @@ class Player:
     def play(self) -> Iterator[int]:
         """Publish the run once, from its start; yield its rig time [ns] often, so that the caller can stop.
 
-        It first waits, without a limit, until all peers subscribe to the scans.
+        It first waits, without a limit, until all peers subscribe to the scans, and at the end until they have
+        acknowledged all blocks.
 
         Raises:
             RecordingError: a chunk of the run is damaged, or a message is more than an hour of rig time later than the

@@ -192,7 +192,8 @@ class Publishers:
     def names(self) -> list[str]:
         """Return the names of the topics that this rig publishes now and that no other node may publish.
 
-        These are all but `robot_description`. Except `/clock`, the names are relative to the rig's namespace.
+        These are all but `robot_description` and `/diagnostics`. Except `/clock`, the names are relative to the rig's
+        namespace.
         """
         return [name for name in self._node.outputs if name != topics.ROBOT_DESCRIPTION.name]
 
@@ -247,8 +248,8 @@ class Publishers:
     def clock(self, now_ns: int) -> None:
         """Publish rig time on `/clock`.
 
-        If the configuration at the start did not request `/clock`, its publisher is created at the first call: only one
-        node of a ROS domain may offer this topic.
+        If the configuration did not request `/clock` when this object was created, the publisher is created at the
+        first call: only one node of a ROS domain may offer this topic.
         """
         if topics.CLOCK.name not in self._node.outputs:
             self._node.offer(topics.CLOCK)
@@ -327,8 +328,9 @@ class Publishers:
 def _may_overflow(config: RigConfig) -> bool:
     """Return whether the blocks that may be unacknowledged can contain more than `QUEUE` messages.
 
-    The middleware can certainly hold `QUEUE` messages to one process. If there are more, the rig waits for delivery
-    after each `QUEUE`. The result is False in real time, where the rig does not wait for acknowledgements.
+    The middleware can certainly hold `QUEUE` messages to one process. If there can be more, `Publishers.block` waits
+    for delivery after each `QUEUE` messages and before the scans of each block. The result is False in real time,
+    where the rig does not wait for acknowledgements.
     """
     if config.time.mode == "realtime":
         return False

@@ -100,7 +100,7 @@ def events_executor(context: Any) -> Any:
 
 
 class PollingEventsExecutor(EventsExecutor):
-    """Events executor that misses no message which arrives while it starts to listen to a new subscription."""
+    """Events executor that misses nothing while it starts to listen to a new subscription, service or client."""
 
     def __init__(self, context: Any) -> None:
         super().__init__(context)

@@ -196,7 +196,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return NodeState(words.IDLE, "messages of the last recording were lost" if lost else "")
 
     def health(self) -> tuple[Level, str]:
-        """Return level and message of diagnostics: the worst problem of the recording, or whether the node records."""
+        """Return level and message of diagnostics: a problem of the newest recording, or whether the node records.
+
+        Of several problems, the first is shown: failure, several publishers of a topic, lost messages, invalid ones.
+        """
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
@@ -216,10 +219,10 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         return Level.OK, "recording" if self._writer is not None else "not recording"
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: `lost.TOPIC`, the number of lost messages of each topic in the newest run.
+        """Return values for diagnostics: `lost.TOPIC`, the number of lost messages, if any, by topic of the newest run.
 
-        During a run, its directory, number of messages and size [MB] are added; `other_publishers` names nodes that
-        have published the same topic although only one may.
+        During a run, its directory, number of messages and size [MB] are added. If several nodes have published a topic
+        of the newest run that only one may publish, `other_publishers` names them all, also after the run.
         """
         values: dict[str, object] = {f"lost.{self._added[name]}": n for name, n in self._lost().items()}
         if self._writer is not None:
@@ -481,9 +484,9 @@ class RecorderNode(ManagedNode[RecorderSettings]):
             self._answer_start()
 
     def _attach_calibration(self, writer: RunWriter, info: Table) -> None:
-        """Attach a calibration (`daq/info`) to the run as a YAML file for human readers, too.
+        """Store a calibration (`daq/info`) inside the recording as a YAML attachment, too, for human readers.
 
-        Every table received during the run gets a file of its own.
+        Every table received during the run gets an attachment of its own.
         """
         self._certificates += 1
         name = CALIBRATION if self._certificates == 1 else f"calibration_{self._certificates}.yaml"

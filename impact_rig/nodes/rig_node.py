@@ -99,7 +99,7 @@ class RigNode(ManagedNode[RigConfig]):
     def rig_time_ns(self) -> int | None:
         """Return the stamp of the next block [ns of rig time], for diagnostics.
 
-        Before the rig has started it is the system time in real time, and None in the other time modes.
+        Before a rig has started, and after it ended, it is the system time in real time and None in other time modes.
         """
         if self._session.rig is not None:
             return self._session.rig.next_block_ns
@@ -115,7 +115,7 @@ class RigNode(ManagedNode[RigConfig]):
         return self._state.health()
 
     def figures(self) -> dict[str, object]:
-        """Return values for diagnostics: time mode, time, lateness, readers, drive, energy and scans over range.
+        """Return values for diagnostics: time mode and, once started, time, lateness, readers, drive, energy, scans.
 
         Which keys there are depends on the time mode, the drive, the channels and the readers.
         """

@@ -87,7 +87,7 @@ class RigState:
     def health(self) -> tuple[Level, str]:
         """Return level and message for diagnostics: the problems of the most severe level, or why no rig has started.
 
-        Without a warning or error the level is OK, and the message begins with the time mode.
+        Without a warning or error the level is OK, and the message begins with `running in time mode`.
         """
         reason_not_ready, rig = self._session.reason_not_ready(), self._session.rig
         if reason_not_ready is not None:
@@ -221,10 +221,11 @@ class RigState:
     # The log
 
     def log_changes(self) -> None:
-        """Log what has changed since the last call: start, trips, faults, and slow, silent or missing readers.
+        """Log what has changed since the last call: start, trips, faults, samples of the drive, and the readers' state.
 
         It also updates the flow control. A silent peer that was restarted need not acknowledge the blocks published so
-        far. A reader that no longer subscribes is dropped, unless it is a peer, for which the rig continues to wait.
+        far. A reader that no longer subscribes is dropped, unless it is a peer, for which the rig continues to wait
+        (except in real time).
         """
         session = self._session
         rig, window = session.rig, session.window

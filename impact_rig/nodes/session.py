@@ -75,7 +75,8 @@ def ends_here(environment: Mapping[str, str], middleware: str) -> bool:
 class NamespaceLock:
     """Lock file that a rig holds for its ROS domain and namespace, to detect a second rig of this user and machine.
 
-    In the second rig, `take` returns False, and that rig waits until the first one has ended.
+    In the second rig, `take` returns False if the lock can show every other rig (`decides`). That rig then waits until
+    the first one has ended.
     """
 
     def __init__(self, node: Node) -> None:
@@ -202,7 +203,10 @@ class Counts:
         self._rates: deque[tuple[float, int]] = deque([(time.monotonic(), 0)])
 
     def take(self, block: Block) -> None:
-        """Count one block of the rig and its impacts, and note its active faults; a block without scans counts, too."""
+        """Count one block of the rig and its impacts, and note its active faults.
+
+        A block whose scans are withheld by an instrument fault counts, too, with its scans over range.
+        """
         self.blocks += 1
         self.lost_blocks += block.lost
         if block.impacts is not None:
@@ -520,6 +524,8 @@ class Session:
     def refuse_backlog(self, sent_ns: int) -> None:
         """Raise if a command was sent before this process, which had been stopped, ran again: its sender has given up.
 
+        Only a suspension that was longer than `EXPIRES_S` and ended less than `CHECKED_S` ago matters.
+
         Args:
             sent_ns: time at which the command was sent, by the system clock of its sender [ns].
 
@@ -635,10 +641,10 @@ class Session:
     def step(self, steps: int, done: Done) -> None:
         """Request `steps` steps of `step.blocks` blocks each, and advance the rig as far as possible now.
 
-        `done` is called with success when every peer has acknowledged all blocks of the steps. It is called with an
-        error if a peer does not subscribe or acknowledge, or samples of the drive are missing, for longer than
-        `time.peer_timeout_s`, and if the rig is reset or deactivated meanwhile. Resuming the rig ends the steps with an
-        error, too, except in lockstep, where they continue.
+        `done` is called with success when every peer has acknowledged all blocks of all requested steps, also those of
+        later calls. It is called with an error if a peer does not subscribe or acknowledge, or samples of the drive are
+        missing, for longer than `time.peer_timeout_s`, and if the rig is reset or deactivated meanwhile. Resuming the
+        rig ends the steps with an error, too, except in lockstep, where they continue.
         """
         self._steps_left += steps * self.node.settings.step.blocks
         self._stepped_at = time.monotonic()

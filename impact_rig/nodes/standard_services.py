@@ -85,7 +85,7 @@ class StandardServices:
         return serve
 
     def _done(self, tell: Tell, failed: int) -> Done:
-        """Return a function of (success, message) that answers a request with RESULT_OK or with the code `failed`."""
+        """Return a function of (success, message) that answers with RESULT_OK, or with `failed` and the message."""
         return lambda success, message: tell(*((self._messages.Result.RESULT_OK, "") if success else (failed, message)))
 
     def _state(self) -> int:
@@ -142,7 +142,7 @@ class StandardServices:
     def _stop(self, success: bool, message: str, done: Done) -> None:
         """Reset the rig if its pause succeeded, so that it counts as stopped, and answer the request by `done`.
 
-        If the pause failed, or the rig rejects the reset, the answer is an error.
+        If the pause failed, or the rig rejects the reset and therefore only stays paused, the answer is an error.
         """
         try:
             if success:

@@ -321,10 +321,10 @@ def _find_peak(p: Record, law: CompiledForce, s: Record, step: Record, of_force:
 def find_peaks(p: Record, law: CompiledForce, s: Record, step: Record) -> None:
     """Raise `s.peak_force` [N] and `s.deepest_w` [m^0.5] to the largest values in the step, also between its stages.
 
-    For a maximum between stages, another step is solved that ends where the polynomial through the stages predicts the
-    maximum; the remaining error is of second order. If all stages are well below an earlier peak, the whole step is
-    below it, and nothing is solved. The steps of a law with a memory end at the largest indentation, so only the peak
-    of the force is searched within them.
+    If w is largest at the step's end, `s.deepest_w` is left to `conclude`. For a maximum between stages, another step
+    is solved that ends where the polynomial through the stages predicts the maximum; the remaining error is of second
+    order. If all stages are well below an earlier peak, the whole step is below it, and nothing is solved. The steps of
+    a law with a memory end at the largest indentation, so only the peak of the force is searched within them.
     """
     w, speed, slope = step.w[LAST], step.speed[LAST], step.speed_slope[LAST]
     _, start_slope = _force_and_slope(p, law, s, step, (s.w, s.speed, step.start_speed_slope))

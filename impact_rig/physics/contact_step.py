@@ -212,7 +212,7 @@ _FAR = 1.6  # times the step's length: beyond it the polynomial is worse than a 
 
 @kernel
 def keep_dense_output(s: Record, step: Record) -> None:
-    """Store the dense output of the step of length `s.h` from s: the polynomial δ'(x) through its start and stages.
+    """Store the dense output of the step of length `s.h` from s: the polynomial through δ' at its start and stages.
 
     From it follow the first guess of Newton's method in the next step, and estimates of where in this step an event or
     a given instant lies.
@@ -363,7 +363,7 @@ def _integrate_speeds(s: Record, step: Record, h: float) -> None:
 def _evaluate_acceleration(p: Record, step: Record) -> None:
     """Fill in a_r, the acceleration that presses sphere and wall together, at the stages.
 
-    It includes the part due to the correction z, and excludes the contact force.
+    It includes the part due to the correction z, and excludes the contact force and the columns' force due to δ itself.
     """
     z, k_1, c_1, share_per_m_1 = step.correction, p.k_1, p.c_1, p.share * p.per_m_1
     for i in range(STAGES):

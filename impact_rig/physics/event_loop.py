@@ -215,7 +215,7 @@ def _touch(p: Record, s: Record, side: float, ledger: Record) -> None:
 
     From here on `s.y` holds the centre of mass of sphere and superior base. If the sphere approaches the wall more
     slowly than `touch_speed`, the contact begins with that speed. The energy that this adds counts in `ledger` as a
-    negative loss of the contact.
+    negative loss in contacts, but not in the `energy_lost` of the impact.
     """
     speed = max(side * s.d_rate, p.touch_speed)
     ledger.contact -= 0.5 * p.m_eff * (speed * speed - s.d_rate * s.d_rate)

@@ -446,8 +446,8 @@ def fly_attached(p: Record, system: Record, f: DriveSegment, flight: Record, s: 
 
     The state s is moved there. `t_end` is the end of the drive segment, since its start [s]. `s.side` is the wall that
     presses the sphere, or 0 if guide friction holds it. They part when the acceleration |x_1''| reaches the limit of
-    friction μ g_0, which is 0 without friction; a sphere at a wall parts only if that wall moves away from it. After
-    PARTED, `s.slide` is the direction, −1 or 1, in which the sphere moves relative to the base.
+    friction μ g_0, which is 0 without friction. A sphere at a wall parts only if that wall accelerates away from it.
+    After PARTED, `s.slide` is the direction, −1 or 1, in which the sphere moves relative to the base.
     """
     begin_flight(system, f, flight, s.y, s.t)
     t, ended, x_1 = s.t, PAUSED, flight.x_1

@@ -41,8 +41,8 @@ from impact_rig.simtime import COMMAND_GRID_S
 class Ramp(NamedTuple):
     """Linear ramp of the drive's amplitude from `initial` to `target`.
 
-    It begins at the start of tick number `first_tick` and takes `ticks` ticks of 10 ms; 0 is a jump. Amplitudes are in
-    A, m or V, by kind of drive.
+    It begins at the start of tick number `first_tick` and takes `ticks` ticks of nominally 10 ms; 0 is a jump to
+    `target`. Amplitudes are in A, m or V, by kind of drive.
     """
 
     first_tick: int
@@ -79,7 +79,8 @@ def fill_sine(
 ) -> None:
     """Fill segments with a sine of the ramp's amplitude, one tick of `tick_s` seconds each, from tick number `tick` on.
 
-    The sine had the phase `phase` [rad] when its frequency last changed, `ticks_since` ticks before `tick`.
+    The sine had the phase `phase` [rad] when its frequency or the tick's duration last changed, `ticks_since` ticks
+    before `tick`.
     """
     amplitude, cycles_per_tick = amplitude_at(ramp, tick), frequency_hz * tick_s
     for i in range(segments.shape[0]):
@@ -139,18 +140,21 @@ class FunctionGenerator:
 
     @property
     def phase_rad(self) -> float:
-        """Phase of the sine or chirp at the start of the next tick [rad], in [0, 2π)."""
+        """Phase of the sine or chirp at the start of the next tick [rad], in [0, 2π); meaningless otherwise."""
         cycles = self.frequency_hz * self._tick_s * (self.tick - self._anchor_tick)
         return math.fmod(self._anchor_phase + TWO_PI * math.fmod(cycles, 1.0), TWO_PI)
 
     @property
     def amplitude(self) -> float:
-        """Amplitude at the start of the next tick (A, m or V by drive; peak, or rms for random drive)."""
+        """Amplitude at the start of the next tick (A, m or V by drive; peak, or rms for random drive).
+
+        For a stream, 0, or the signed value of its ramp to zero after a stop.
+        """
         return float(amplitude_at(self._ramp, self.tick))
 
     @property
     def target_amplitude(self) -> float:
-        """Amplitude at the end of the ramp that is under way, or the present amplitude without a ramp (A, m or V)."""
+        """Amplitude at the end of the ramp under way, or the present one without a ramp (A, m or V); 0 for a stream."""
         return self._ramp.target
 
     def set_frequency(self, frequency_hz: float) -> None:
@@ -184,9 +188,10 @@ class FunctionGenerator:
         self._ramp_to(amplitude, self._ramp_ticks)
 
     def stop(self, ramp_s: float) -> None:
-        """Ramp the drive to zero within `ramp_s` seconds instead of the usual ramp time; stop a stream.
+        """Ramp the drive to zero in `ramp_s` seconds, rounded up to whole ticks, instead of the usual ramp time.
 
-        If a ramp to zero is already under way, it is replaced only by one that ends earlier.
+        A stream is stopped, and its buffered samples are dropped. If a ramp to zero is already under way, it is
+        replaced only by one that ends earlier.
         """
         self._ramp_to(0.0, self._ticks_of(ramp_s))
 
@@ -264,8 +269,8 @@ class FunctionGenerator:
     def _add_ramp(self, segments: NDArray[np.void], count: int) -> None:
         """Add to the drive segments of a stopped stream a ramp to zero from the value at which it was stopped.
 
-        The segments of the stream itself are zero from that instant on, so the sum is the ramp alone. `count` is the
-        number of ticks.
+        The segments of the stream itself are zero from that instant until new samples take effect. Until then the sum
+        is the ramp alone. `count` is the number of ticks.
         """
         if self.tick >= self._ramp.first_tick + self._ramp.ticks:
             return

@@ -72,7 +72,7 @@ class MechanicsSetup(Protocol):
 
     @property
     def barriers(self) -> Barriers:
-        """Section `barriers` of the configuration: the two walls and the gap between them."""
+        """Section `barriers` of the configuration: the two walls and the gap, the sphere's free path between them."""
 
     @property
     def contact(self) -> Contact:

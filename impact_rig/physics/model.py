@@ -57,8 +57,8 @@ class Model(NamedTuple):
     Attributes:
         parameters: one record of PARAMETERS: the numbers of the equations of motion.
         systems: two records of SYSTEM: the linear systems with the sphere loose and attached.
-        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, the upper end `high`
-            of its range of η_0 is 0, and every contact is integrated.
+        table: one record of `outcome.TABLE`: outcomes of fast contacts. If none are tabulated, `high` is 0, the
+            upper end of its range of η_0 (dimensionless acceleration at the touch); then contacts are integrated.
         law: the contact law's compiled force.
     """
 
@@ -75,7 +75,8 @@ def build(config: MechanicsSetup, rtol: float = CONTACT_RTOL, kind: str | None =
     """Return the model of a configuration; `kind`, if given, replaces its `drive.kind`.
 
     `rtol` is the relative tolerance of each integration step of a contact. The outcomes of contacts are tabulated only
-    if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free; otherwise every contact is integrated.
+    if `rtol` is at least `CONTACT_RTOL` and the contact law is scale-free; otherwise every contact is integrated. At a
+    rigid wall a contact takes no time, and none is integrated.
 
     Raises:
         ConfigError: structure and shaker have no usable modes or no position of rest.

@@ -200,8 +200,9 @@ class Contacts:
 def tabulate(parameters: Any, law: CompiledForce) -> Any:
     """Return the table of contact outcomes of a law, dtype TABLE, shape (1,).
 
-    The range of η_0 starts at ± WIDEST and is narrowed step by step until the series of `_series` are exact enough. If
-    no tried range suffices, `high` is 0, and every contact of the law is integrated.
+    The range of η_0, the dimensionless acceleration at the touch, starts at ± WIDEST. It is narrowed step by step until
+    the sphere rebounds fast enough at its ends and the series of `_series` are exact enough. If no tried range
+    suffices, `high` is 0, and every contact of the law is integrated.
 
     Args:
         parameters: one record of PARAMETERS with the constants of the law, except that stiffness and masses are 1; it
@@ -260,7 +261,8 @@ def _series(contacts: Contacts, limits: tuple[float, float]) -> NDArray[np.float
 def _nodes(limits: tuple[float, float], count: int) -> list[float]:
     """Return the `count` values of η_0 within `limits` at which a Chebyshev series of as many terms is determined.
 
-    η_0 is the dimensionless acceleration that presses sphere and wall together at the touch.
+    The largest value is first. η_0 is the dimensionless acceleration that presses sphere and wall together at the
+    touch.
     """
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     return [middle + half * sincos(PI * (j + 0.5) / count)[1] for j in range(count)]
@@ -283,8 +285,8 @@ def _chebyshev(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def look_up(p: Record, table: Record, s: Record, step: Record, t_0: float, time_left: float) -> bool:
     """Compute from the table the outcome of the contact that begins in the state s; return whether it may be used.
 
-    `table.outcome` then holds it, in units made of m_eff, v0 and t_0. It may be used if the approach is not slower than
-    `speed_floor`, the contact is in the range of the table, and it ends within `time_left` seconds and before the
+    If so, `table.outcome` holds it, in units made of m_eff, v0 and t_0. It may be used if the approach is not slower
+    than `speed_floor`, the contact is in the range of the table, and it ends within `time_left` seconds and before the
     polynomials of `step` become inexact. Otherwise the contact must be integrated. `step` must be expanded about s, and
     `t_0` is the contact's time scale [s].
     """

@@ -326,8 +326,8 @@ def _expand_flight(
 ) -> None:
     """Fill `poly` with a quantity's Taylor polynomial about the instant `since` seconds after the flight's start.
 
-    The variable of the polynomial is the time after this instant [s]. The quantity must be a motion of the structure,
-    or the drive itself.
+    The variable of the polynomial is the time after this instant [s]. The quantity must be one for which
+    `_is_of_structure` is true: a motion of a base, or the current of a coil.
     """
     poly[:] = 0.0
     t = flight.t_b + since
@@ -440,8 +440,9 @@ def last_not_after(history: Records, first_row: int, end_row: int, t: float) -> 
 def _step_length_for(s: Record, step: Record, end_point: tuple[float, float, float], since: float) -> float:
     """Return the length, in the variable χ, of the part of a contact's step that lasts about `since` seconds.
 
-    It is found from the dense output of the whole step `step`, which begins at the state `s`. `end_point`, the end of
-    the whole step, is (its duration [s], w, δ'), with w the square root of the indentation δ, in SI units.
+    χ is the variable of integration, with dt = w dχ. The length is found from the dense output of the whole step
+    `step`, which begins at the state `s`. `end_point`, the end of the whole step, is (its duration [s], w, δ'), with w
+    the square root of the indentation δ, in SI units.
     """
     low, high = 0.0, 1.0
     x = min(1.0, since / end_point[0])
@@ -675,8 +676,8 @@ def _fit_flight(
 ) -> None:
     """Fill `spans.out` for piece i with the polynomials of the wanted quantities.
 
-    Each of these must be a motion of the structure or the drive (`_is_of_structure`). The piece must lie in the flight
-    for which `flight` has been prepared.
+    Each of these must be a motion of a base or the current of a coil (`_is_of_structure`). The piece must lie in the
+    flight for which `flight` has been prepared.
     """
     half = 0.5 * (spans.end[i] - spans.start[i])
     t_middle = 0.5 * (spans.start[i] + spans.end[i]) - f.begin
@@ -869,7 +870,8 @@ def refine(trajectory: Trajectory, tick: Integers, offset: Reals) -> int:
     """Fill `tick` and `offset` [s] with the instants between which every quantity is smooth; return their number.
 
     These are the instants of all states in the history but the last, which is the end of the motion, and also two
-    instants inside each tabulated contact. The arrays must have room for TABULATED_PIECES instants per state.
+    instants inside each tabulated contact. They are in order, and some are equal. The arrays must have room
+    for TABULATED_PIECES instants per state.
     """
     history, first_state, count = trajectory.history, trajectory.first_state, 0
     tick_index = -1

@@ -180,7 +180,8 @@ class Motion:
     def cycles(self) -> NDArray[np.void]:
         """Return for each tick both bases' complex amplitudes, and the sphere's motion at the start, dtype `CYCLE`.
 
-        The amplitude X of a motion means Im(X exp(jωt)) [m], with t from the start of the tick.
+        The amplitude X means the part Im(X exp(jωt)) of a motion at the drive frequency [m], with t from the start of
+        the tick.
 
         Raises:
             ValueError: a tick is not a single segment of the drive with one complete cycle; impacts do not matter.
@@ -202,11 +203,10 @@ class Motion:
         )
 
     def breakpoints(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return (tick, offset) of the instants between which every quantity is smooth, in order.
+        """Return (tick, offset) of the instants between which every quantity is smooth, in order; some are equal.
 
-        These are the instants of all stored states, which are events and steps of contacts, and two instants inside
-        each tabulated contact, which is too long for one polynomial of `polynomials`. The end of the motion is not
-        among them.
+        These are starts of drive segments, events and steps of contacts, and two instants inside each tabulated
+        contact, which is too long for one polynomial of `polynomials`. The end of the motion is not among them.
         """
         most = TABULATED_PIECES * len(self._trajectory.history)
         tick, offset = np.empty(most, np.int64), np.empty(most)
@@ -242,7 +242,7 @@ class EnergyAccount:
     Attributes:
         work: work of the drive (coil force, coil voltage or prescribed base).
         columns: loss in the columns' damping.
-        shaker: loss in the suspension's damping and in the coil.
+        shaker: loss in the suspension's damping and, with a voltage drive, in the coil's resistance.
         contact: loss in contacts.
         friction: loss by the guide's friction.
         stored: kinetic and potential energy, minus its value when the account began.
@@ -361,8 +361,8 @@ class Simulation:
     ) -> None:
         """Set the state (SI): superior base, sphere relative to it (d = x_2 − x_1), and inferior base.
 
-        x_b and v_b have no effect if the inferior base is prescribed. A coil current is set to zero, and the energy
-        account begins again. d is not checked against the walls.
+        x_b and v_b have no effect on the motion if the inferior base is prescribed. A coil current is set to zero, and
+        the energy account begins again. d is not checked against the walls.
         """
         y = np.zeros(STRUCTURE)
         y[X1], y[V1], y[XB], y[VB] = x_1, v_1, x_b, v_b
@@ -374,7 +374,8 @@ class Simulation:
         """Return the present state, SI, shape (7,), or None during a contact.
 
         The numbers are x_1, v_1, x_b, v_b, the coil's current, x_2 − x_1 and its rate. They do not describe a state
-        during a contact, because its force also depends on how the contact began.
+        during a contact, because its force also depends on how the contact began. A wall's residual indentation is
+        not included.
         """
         s = self._work.states[0]
         if s["phase"] == CONTACT:

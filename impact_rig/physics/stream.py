@@ -125,7 +125,10 @@ class Buffer:
         return found
 
     def first_missing(self, first: int) -> int:
-        """Return the number of the first sample from `first` on that is not in the buffer; all before it are."""
+        """Return the number of the first sample from `first` on that is not in the buffer.
+
+        All samples from `first` up to it are in the buffer.
+        """
         at = max(first, self._whole_to)
         missing = np.flatnonzero(~self.there(at, first + self.capacity))
         self._whole_to = at + int(missing[0]) if len(missing) else first + self.capacity
@@ -174,20 +177,23 @@ class Stream:
         self.set_ramp(shaker.ramp_s)
 
     def set_ramp(self, ramp_s: float) -> None:
-        """Set the time [s] of the ramp to zero at missing samples; one under way starts again at the present value."""
+        """Set the time [s] of the ramp to zero at missing samples, rounded up to whole samples, at least one.
+
+        A ramp under way starts again at the present value.
+        """
         if self.state is not StreamState.PLAYING and self._ramps_down and self._ramped:
             # from the present value, because the drive must not jump
             self._last_value, self._ramped = self._last_value * (1.0 - self._ramped / self._ramp_samples), 0
         self._ramp_samples = max(1, math.ceil(ramp_s * self.rate_hz - 1e-9))
 
     def copy(self) -> Stream:
-        """Return a copy of this stream with a position and state of its own, which reads the same buffer."""
+        """Return a copy of this stream with a position and state of its own; both share one buffer."""
         twin = copy.copy(self)
         twin.events = list(self.events)
         return twin
 
     def time_ns(self, sample: int) -> int:
-        """Return the time of a sample after scan 0 [ns]; samples are numbered from scan 0, even before the stream."""
+        """Return the time of a sample after scan 0 [ns]; sample 0 is at scan 0, even if the stream begins later."""
         return sample * NS_PER_S // self.rate_hz
 
     def put(self, first: int, values: NDArray[np.float64]) -> int:
@@ -216,8 +222,8 @@ class Stream:
     def stop(self, tick: int) -> float:
         """Drop all buffered samples, and return the value of the drive at the start of `tick`, the next tick.
 
-        From there on the stream itself is zero, so the caller must add a ramp to zero from the returned value. The
-        stream cannot ramp by itself, because its samples may be a second apart.
+        From there on the stream itself is zero until new samples take effect. So the caller must add a ramp to zero
+        from the returned value. The stream cannot ramp by itself, because its samples may be a second apart.
         """
         value = self._value_at(tick)
         self.buffer.clear()

@@ -140,8 +140,9 @@ class TopicDescription:
 def _profiles(text: str) -> tuple[QosYaml, ...]:
     """Return the QoS profiles in an untrusted YAML list, with the policies of `OfferedQos` only.
 
-    Only the type of their values is checked. Policies with a value of a wrong type, and items that are no mappings, are
-    left out. The result is empty if the text is not a YAML list, or is longer than `MAX_QOS_CHARACTERS`.
+    Any text, integer, bool, or mapping with `sec` and `nsec` is kept as the value of any policy. Policies with other
+    values, and items that are no mappings, are left out. The result is empty if the text is not a YAML list, or is
+    longer than `MAX_QOS_CHARACTERS`.
     """
     try:
         found = budget.load_yaml(text, MAX_QOS_CHARACTERS)

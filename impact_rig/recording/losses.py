@@ -123,7 +123,10 @@ class Account:
         return sorted(set(known.known.values())) if known is not None and len(known.streams) > 1 else []
 
     def to_record(self) -> dict[str, str]:
-        """Return the content of the metadata record `RECORD_NAME`: topic -> JSON list of its publishers' counts."""
+        """Return the content of the metadata record `RECORD_NAME`: topic -> JSON list of its publishers' counts.
+
+        An entry whose `first` is 0 counts messages without a number, or is the sum of the oldest publishers' counts.
+        """
         return {name: json.dumps([attrs.asdict(s) for s in self._streams(name)]) for name in self._topics}
 
     def _take_unexpected(self, topic: str, known: _Topic, sequence: int) -> str:
@@ -213,7 +216,10 @@ class Contiguity:
 
     @property
     def whole(self) -> bool:
-        """Return whether there is no gap: no missing or duplicate scan, and no stamp that is not that of its scan."""
+        """Return whether `check_contiguity` found no gap: a missing or duplicate scan, or a stamp that is not a scan's.
+
+        Scans missing before the first block, or a few before a reset, are no gap.
+        """
         return not self.gaps
 
 

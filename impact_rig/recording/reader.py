@@ -418,7 +418,8 @@ class Run:
         Returns:
             One row per row of the tables, with their columns in SI units. Three columns precede them: `time` [s],
             `timestamp`, the same time as a date, and `earlier`, 1 for messages that were published before the recording
-            began. `time` counts from the first scan of the recording or, if there are no scans, from the first message.
+            began. `time` counts from the first recorded scan of the topic's rig or, without scans, from the first
+            message of the topic.
 
         Raises:
             RecordingError: the topic is missing, carries no tables, has no message or changes its columns; or a chunk
@@ -457,7 +458,7 @@ class Run:
         return [source for source in self.sources if source.statistics.message_count]
 
     def _refuse_excess(self) -> None:
-        """Reject a recording whose index shows, before anything is read, that it exceeds the limits of reading.
+        """Reject a recording whose index shows, before a chunk is decompressed, that it exceeds the limits of reading.
 
         Raises:
             BudgetError: chunks, topics or QoS profiles exceed a limit.
@@ -537,7 +538,7 @@ class Run:
         Args:
             pending: messages that have been read but not yielded.
             recorded: all segments; the second item of a pending message is the index of its segment in this sequence.
-            coming: segments that are read next.
+            coming: segments that are already being read ahead, and the one to be read next.
 
         Raises:
             BudgetError: the decompressed segments of the pending messages and those in `coming`, and the messages
@@ -783,7 +784,9 @@ class McapSource:
         return False
 
     def _segments(self) -> list[Segment]:
-        """Return the segments of this file, in file order: its chunks, and 1 MiB parts with messages outside them.
+        """Return the segments of this file, in file order: its chunks, and parts with messages outside them.
+
+        Such a part has at most 1 MiB, or is one larger message.
 
         If the statistics of the file count no messages, only the chunks are listed.
         """
@@ -815,7 +818,7 @@ class McapSource:
                 if position + records.MESSAGE_HEAD.size > base + len(view):
                     base, view = position, os.pread(self._fd, SEGMENT_BYTES, position)
                 if len(view) - (position - base) < records.RECORD_HEAD.size:
-                    raise DamageError("its data section has no end")
+                    raise DamageError("its data section has no end (DataEnd record)")
                 opcode, length = records.RECORD_HEAD.unpack_from(view, position - base)
                 end += records.RECORD_HEAD.size + length
                 if end > self.size:
@@ -844,7 +847,7 @@ class McapSource:
         """Return the decompressed records of a segment, checked by the checksum of its chunk if it has one.
 
         Raises:
-            RecordingError: the segment is damaged or cannot be read.
+            RecordingError: the segment cannot be read, or is a damaged chunk; other segments are not checked here.
             BudgetError: the chunk is larger than any record that may be read.
         """
         if segment.chunk is None:
@@ -853,7 +856,7 @@ class McapSource:
         try:
             chunk = records.parse(mcap_records.Chunk, self._record(segment.chunk, records.CHUNK))
             if chunk.uncompressed_size != segment.size:
-                raise DamageError("its decompressed size is not that which the index states")  # noqa: TRY301  # worded below
+                raise DamageError("the decompressed size that it states is not that which the index states")  # noqa: TRY301  # worded below
             return records.decompress(chunk)
         except DamageError as error:
             where = f"{self.path}: the chunk at byte {segment.offset} is damaged"
@@ -975,7 +978,9 @@ class ForeignBagError(RecordingError):
 
 
 def refuse_foreign(fd: int) -> None:
-    """Raise an error for a bag of rosbag2 in another format than MCAP, with a command that converts it.
+    """Raise an error with a command that converts the file, if it is in SQLite or compressed as a whole with zstd.
+
+    Files of all other kinds are accepted, also those that are not MCAP.
 
     Raises:
         ForeignBagError: the file is in SQLite, or compressed as a whole.
@@ -1003,7 +1008,7 @@ def read_summary(fd: int, size: int) -> Summary:
         raise DamageError("it does not begin like an MCAP file")
     tail = os.pread(fd, tail_bytes, max(0, size - tail_bytes))
     if size < magic + tail_bytes or not tail.endswith(records.MAGIC):
-        raise DamageError("its end is missing: its recorder was interrupted, or the copy is incomplete")
+        raise DamageError("its end is missing: its recorder was interrupted or still writes, or the copy is incomplete")
     head = records.RECORD_HEAD.size
     if records.RECORD_HEAD.unpack_from(tail) != (records.FOOTER, records.FOOTER_BYTES - head):
         raise DamageError("its last record (footer) is damaged")
@@ -1076,7 +1081,7 @@ def _refuse_shared_bytes(chunks: list[ChunkIndex]) -> None:
     for index in sorted(chunks, key=lambda index: index.chunk_start_offset):
         offset = index.chunk_start_offset
         if offset < ends_at:
-            raise DamageError(f"its index lists the chunk at byte {offset} twice, or inside another")
+            raise DamageError(f"its index lists the chunk at byte {offset} twice, or beginning inside another")
         ends_at = offset + index.chunk_length
 
 

@@ -71,7 +71,9 @@ class RawMessage(NamedTuple):
 
 
 class _Strict(ReadDataStream):
-    """Stream from which the library `mcap` reads the fields of one record: it copies nothing and rejects short fields.
+    """Stream from which the library `mcap` reads the fields of one record: it copies nothing.
+
+    A field that is longer than the remaining record raises a DamageError.
 
     `view` is the content of the record.
     """

@@ -97,10 +97,12 @@ class RunWriter:
         account: account of received and lost messages; None means a new one that does not know the publishers.
         closing: function that returns further metadata records by name, which are written at the end of a file. It is
             called once per file.
-        clock: function that returns a monotonic time [s]. A chunk that has been open for `CHUNK_OPEN_S` is closed.
+        clock: function that returns a monotonic time [s]. A chunk that has been open for `CHUNK_OPEN_S` is closed by
+            the next call of `write` or `flush_due`.
         compression: `none`, `lz4` or `zstd`.
         chunk_bytes: uncompressed size above which a chunk is closed [bytes].
-        max_file_bytes: size beyond which a new file is started [bytes]; 0 means no limit.
+        max_file_bytes: size on disk at which the next message starts a new file [bytes]; 0 means no limit. So a file
+            becomes larger by up to a chunk and its index.
         max_file_duration_ns: log time since the first message of a file after which a new one is started [ns]; 0 means
             no limit.
         tail: whether to keep the messages of the open chunk in a second file (`Tail`); without it, `secure` has no
@@ -540,7 +542,7 @@ class LogClock:
         self._offset_ns = 0  # offset from the stamps of a restarted rig to log times
 
     def go_on(self, now_ns: int) -> int:
-        """Advance the log time to `now_ns`, and return it; an earlier time has no effect."""
+        """Advance the log time to `now_ns` unless it is already later, and return the log time."""
         self.now_ns = max(_clamp(now_ns), self.now_ns or 0)
         return self.now_ns
 
@@ -595,8 +597,8 @@ def make_room(directory: Path) -> None:
     """Create the directory of a run with its parents, and check that it can take a recording.
 
     Raises:
-        RecordingError: the directory cannot be created, belongs to another user, or contains a recording: nothing is
-            overwritten.
+        RecordingError: the directory cannot be created, is a link, belongs to another user, or contains a recording:
+            nothing is overwritten.
     """
     try:
         files.make_folder(directory)

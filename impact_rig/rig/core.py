@@ -124,9 +124,9 @@ def _check_together(config: RigConfig, model: Model) -> None:
         for value in np.abs(system["rate"][: int(system["modes"])]):
             if not SLOWEST_RATE <= value <= FASTEST_RATE:
                 raise ConfigError(
-                    f"each mode of structure and shaker must have a rate >= {SLOWEST_RATE:g} and <= {FASTEST_RATE:g} "
-                    f"1/s, got {value:.3g} 1/s: change the ratio of stiffness or damping to mass, of stiffness to "
-                    "damping, or of coil resistance to inductance"
+                    f"each mode of structure and shaker must have a rate (|eigenvalue|) >= {SLOWEST_RATE:g} and "
+                    f"<= {FASTEST_RATE:g} 1/s, got {value:.3g} 1/s: change the ratio of stiffness or damping to mass, "
+                    "of stiffness to damping, or of coil resistance to inductance"
                 )
 
 
@@ -246,15 +246,16 @@ class Rig:
     def frequency_hz(self) -> float:
         """Commanded drive frequency [Hz] at the frontier; for a chirp, always its first frequency.
 
-        For a random drive or a stream it is the last commanded or configured value, which has no effect.
+        For a random drive or a stream it is the value configured at the last start or reset, which has no effect.
         """
         return float(self._generator.frequency_hz)
 
     @property
     def target_amplitude(self) -> float:
-        """Commanded drive amplitude, to which a ramp leads: peak (rms for random), in A, m or V by `drive.kind`.
+        """Amplitude to which the drive ramps or has ramped: peak (rms for random), in A, m or V by `drive.kind`.
 
-        It is 0 for a stream, whose samples set the amplitude.
+        It is the commanded value, or 0 after a stop, trip, command timeout or pluck. For a stream, whose samples set
+        the amplitude, it is always 0.
         """
         return float(self._generator.target_amplitude)
 
@@ -278,7 +279,7 @@ class Rig:
 
     @property
     def is_driven(self) -> bool:
-        """Return whether the commanded amplitude is not zero or, for a stream, whether samples take effect now."""
+        """Return whether `target_amplitude` is not zero or, for a stream, whether samples take effect now."""
         stream = self._generator.stream
         return self.target_amplitude != 0.0 if stream is None else stream.state is StreamState.PLAYING
 
@@ -457,8 +458,8 @@ class Rig:
     def accept(self, frequency_hz: float | None = None, amplitude: float | None = None) -> Table:
         """Apply a command to the drive at the frontier.
 
-        A new amplitude is reached by a ramp of `shaker.ramp_s`, a new frequency at once. Each call, also one without
-        values, restarts the command timeout.
+        A new amplitude is reached by a ramp of `shaker.ramp_s`, a new frequency at once. Each accepted call, also one
+        without values, restarts the command timeout.
 
         Args:
             frequency_hz: new frequency [Hz], for a sine only; None leaves it unchanged.
@@ -579,7 +580,7 @@ class Rig:
         """Apply a complete configuration at the frontier, with the same effects as `configure`.
 
         Args:
-            config: the new configuration.
+            config: the new configuration; its `daq.block_scans` must be the present one, which is not checked.
             changed: the values in which it differs from the present configuration, by full name.
 
         Raises:
@@ -616,7 +617,8 @@ class Rig:
         """Start again at the frontier with the present configuration: from scan 0, with all bodies at rest.
 
         The drive starts with its configured frequency and amplitude, injected faults are gone, planned ones start
-        again, and a base locked by `pluck` is released. Scans measured but not yet returned in a block are dropped.
+        again, and a base locked by `pluck` is released. Scans measured but not yet returned in a block are dropped, as
+        are the stored samples of a stream.
         Stamps continue, so none is used twice.
 
         Raises:
@@ -632,7 +634,7 @@ class Rig:
 
         The release is at the frontier. The sphere then rests at `sphere.start`, and the drive amplitude becomes zero.
         The base stays locked, and commands and samples are refused, until a reset. A further pluck is allowed, and
-        releases the superior base again.
+        releases the superior base again; a latched shaker does not prevent a pluck.
 
         Args:
             displacement_m: displacement x_1 at the release [m], in the range of `pluck.displacement_m`.
@@ -678,7 +680,8 @@ class Rig:
             count goes on from these.
 
         Raises:
-            CommandError: kind or channel is unknown, or the fault starts at a scan that is already measured.
+            CommandError: the rig does not have the fault's channel, or the fault starts at a scan that is already
+                measured.
         """
         number = self._chain.inject(fault)
         self._journal.add(fault.start_sample, InputKind.FAULT, fault=fault)

@@ -79,7 +79,9 @@ def joints(truth: np.void) -> tuple[list[float], list[float], list[float]]:
 def robot_description(config: RigConfig) -> str:
     """Return the URDF of a rig as XML text: its bodies, joints and frames.
 
-    Masses, gap, sphere and distance of the laser are those of the configuration; other dimensions are fixed.
+    Masses, gap, sphere, distance of the laser and travel limit of the base are those of the configuration. Plate and
+    barriers are sized to fit gap and sphere; other dimensions are fixed. Without a sphere, its body and joint are left
+    out.
     """
     return _urdf(config.structure, config.shaker, config.sphere, config.barriers, config.instruments.laser)
 

@@ -198,7 +198,8 @@ def _typed(name: str, value: Any) -> Value:
     """Return a JSON value as the type that the configuration value called `name` has.
 
     Raises:
-        ConfigError: there is no configuration value of this name, or the JSON value has another type.
+        ConfigError: there is no configuration value of this name, or the JSON value has another type; only an integer
+            is accepted for a float.
     """
     if name not in _DEFAULTS:
         raise ConfigError(f"it has the unknown configuration value {name!r}")
@@ -254,7 +255,7 @@ class Journal:
         self._pending: list[JournalEntry] = []
 
     def restart(self, start_ns: int) -> None:
-        """Number the next entries from 0 again, and count scans from one with the stamp `start_ns` [ns].
+        """Number the next entries from 0 again; from now on, scan 0 has the stamp `start_ns` [ns].
 
         Older entries that `take` has not returned yet stay in the queue.
         """
@@ -279,7 +280,8 @@ class JournalView:
     Configuration values that affect no sample are in no journal, so they always have their defaults here.
 
     Attributes:
-        configuration: every configuration value by full name; the default if no entry has changed it.
+        configuration: every configuration value by full name; the default if no entry has changed it. The planned
+            faults stay those of the last start or reset: the journal has their later changes as faults.
         drive: the last commanded `frequency` [Hz] and `current` [A; m or V by `drive.kind`]. A key is missing if there
             was no such command since the start or reset.
         latched: the last entry that latched the shaker, kind `trip` or `stop`; None if it is not latched.
@@ -314,8 +316,9 @@ def last_journal(entries: Iterable[JournalEntry]) -> list[JournalEntry]:
     """Return the entries from the last `start` or `reset` on, in order.
 
     Raises:
-        ConfigError: there are no entries, the first is no `start` or `reset`, or an entry is missing, also before the
-            last `start` or `reset`; the message has the number of the missing entry.
+        ConfigError: there are no entries, the first is no `start` or `reset`, or the numbers of the entries have a gap,
+            also before the last `start` or `reset`; the message has the number of the first missing entry. Entries
+            missing at the very end of a journal leave no gap.
     """
     found: list[JournalEntry] = []
     for entry in entries:

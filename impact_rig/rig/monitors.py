@@ -69,8 +69,8 @@ class Smoothed:
     Attributes:
         sample: index of the scan at this instant, since the start or reset.
         values: filtered reading by channel.
-        status: bit j is set if the channel of row j of `daq/info` was over range in a scan between the previous and the
-            next monitor instant.
+        status: bit j is set if the channel of row j of `daq/info` was over range or clipped in a scan between the
+            previous and the next monitor instant.
     """
 
     sample: int

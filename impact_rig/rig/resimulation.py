@@ -140,7 +140,11 @@ class RecordedSamples(Buffer):
         return held
 
     def values(self, first: int, end: int) -> Samples:
-        """Return an array of the recorded values of samples first … end − 1; call `there` to learn which to use."""
+        """Return the recorded values of samples first … end − 1; 0 for a sample that was not recorded.
+
+        The result ends at the last recorded sample, so it may be shorter than end − first. Call `there` to
+        learn which values to use.
+        """
         found: Samples = self._recorded[first:end]
         return found
 

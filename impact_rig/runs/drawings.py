@@ -69,7 +69,8 @@ def draw(
     """Draw the figures of a run; return its `last_excerpt`, and the paths of the new files in `directory`.
 
     Spectrum and phase plane show this excerpt, and the time traces its last `TRACED_CYCLES` drive cycles. `found` are
-    the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it.
+    the findings that `reanalysis.analyze` yields. The directory must exist: `prepare` creates it. The phase plane is
+    drawn only of a displacement, and the figure `curves` only if a gap has settled rows at several frequencies.
 
     Raises:
         RecordingError: the run has no calibration or too few scans, or a file exists or cannot be written.

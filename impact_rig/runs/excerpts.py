@@ -194,7 +194,7 @@ COHERENT = 0.9  # coherence of base and laser that at least one excited frequenc
 def response_of(
     run: Run, segment_s: float | None = None, window: str = "hann", damping_ratio: float | None = None
 ) -> Frf:
-    """Return the frequency response x_1 / x_b of the last contiguous scans of a run.
+    """Return the frequency response x_1 / x_b (laser / base) of the last contiguous scans of a run.
 
     Args:
         run: an open run.

@@ -67,6 +67,7 @@ def export(run: Run, topic: str, target: str | Path) -> Path:
         RecordingError: the suffix is unknown, or `target` exists or cannot be written. Or the topic was not recorded,
             has no messages (unless it is the journal), carries no tables, changes its columns, or has nothing that a
             UFF file can hold.
+        ConfigError: an entry of the journal is invalid.
         ImpactRigError: a library is missing: pyarrow for Parquet, pyuff for UFF.
 
     Examples:

@@ -97,7 +97,7 @@ class RunInfo:
 
     @property
     def duration_s(self) -> float:
-        """Rig time covered by the scans and the gaps between them [s] (`rig_s`); `log_s` without scans."""
+        """Rig time of scans and the gaps between them [s], the longest of all rigs (`rig_s`); `log_s` without scans."""
         return self.log_s if self.rig_s is None else self.rig_s
 
     @property
@@ -140,7 +140,8 @@ def info(path: Path | str) -> RunInfo:
 
     See Also:
         - `verify`: compares the content with a new simulation.
-        - docs/reference/command_line.md: `impact-rig info` prints the summary, `impact-rig recover` repairs a run.
+        - docs/reference/command_line.md: `impact-rig info` prints the summary; `impact-rig recover` writes the intact
+          messages of a damaged run to a new one.
     """
     with open_run(path) as run:
         tally = _Tally(run)
@@ -234,9 +235,10 @@ def _verdict(
 
 
 def _judged(rigs: Sequence[_RigScans]) -> Contiguity | None:
-    """Return the sum over all rigs of a recording of their blocks, scans and gaps; None if a scan rate is not known.
+    """Return the sum over all rigs of a recording of their blocks, scans and gaps.
 
-    The blocks of several rigs alternate in a recording, so gaps are found for each rig separately.
+    The result is None if the scan rate of a rig with scans, or of all rigs, is unknown. The blocks of several rigs
+    alternate in a recording, so gaps are found for each rig separately.
     """
     found = [
         check_contiguity(rig.blocks, rig.rate_hz, starts=rig.starts, resets=rig.resets) for rig in rigs if rig.rate_hz

@@ -426,7 +426,8 @@ def lag_s(run: Run, block_s: float) -> float:
     """Return by how much messages of other topics may arrive later than the scans of the same time [s of rig time].
 
     Other messages may therefore be missing for this time at the end of a recording. The reason is that a rig may run
-    ahead of its peers by `time.ack_window` blocks. The result is the duration of one block more, and at least `LAG_S`.
+    ahead of its peers by `time.ack_window` blocks (16 if the run does not state it). The result is the duration of one
+    block more, and at least `LAG_S`.
 
     Args:
         run: an open run.
@@ -488,14 +489,14 @@ def _agree(shown: Sequence[float], settled: Sequence[float], shift: int) -> bool
 
 
 def _number(cdr: bytes | memoryview) -> float:
-    """Return the number in a serialized std_msgs/Float64, or NaN if it is invalid."""
+    """Return the number in a serialized std_msgs/Float64, or NaN if it is too short."""
     return float(np.frombuffer(cdr, "<f8", 1, 4)[0]) if len(cdr) >= 12 else math.nan
 
 
 def _impacts(run: Run, offline: Iterable[Table], rate_hz: int, span: tuple[int, int]) -> Compared:
     """Compare the impacts of both analyses, live and offline, between the two scan indexes of `span`, inclusive.
 
-    An impact that only one of them found is a difference. Both analyses have received all scans of the span. Peaks are
+    An impact that only one of them found is a difference. Both analyses have received all scans of the span. Values are
     compared within `TOLERANCE`, because the state of the filter depends on the scan at which each analysis began.
     """
     name = topics.IMPACTS.name
@@ -546,7 +547,7 @@ def _rows(tables: Iterable[Table], rate_hz: int) -> list[_Row]:
 def _blind(live: Sequence[_Row]) -> list[_Blind]:
     """Return the series of scans that the live analysis has not received, according to its rows `live` (at least one).
 
-    The first series is that of the scans before the measurement of its first row. Each row with the status
+    The first series is that of the scans before the earliest measurement. Each row with the status
     `lost_blocks`, except the last row, adds that of the scans between it and the measurement of the next row.
     """
     lost = (_Blind(before.end, row.begin) for before, row in itertools.pairwise(live) if before.lost_blocks)
@@ -556,8 +557,9 @@ def _blind(live: Sequence[_Row]) -> list[_Blind]:
 def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], others: Sequence[_Row]) -> bool:
     """Return whether the row of one analysis can be compared with the other analysis.
 
-    The other analysis must have received all scans of the row, and the change (command, label or reset) at which the
-    measurement of the row begins. A row with the status of lost blocks is never compared.
+    The other analysis must have received all scans of the row. If the row does not begin at a change (command, label
+    or reset), but where its own analysis began to receive scans, the other one must have begun to measure or to receive
+    scans there, too. A row with the status of lost blocks is never compared.
 
     Args:
         row: row of one analysis.
@@ -616,8 +618,8 @@ def _named(where: str, column: str, theirs: _Row, found: _Row) -> str:
 def _different(theirs: np.void, ours: np.void, *, exact: bool) -> str:
     """Return the name of the first column in which two rows differ; an empty text if none does.
 
-    With `exact`, every different bit counts. Otherwise numbers that agree within `TOLERANCE` count as equal; it is
-    relative, but absolute for the columns `ABSOLUTE`.
+    With `exact`, every different bit counts. Otherwise real numbers that agree within `TOLERANCE` count as equal; it
+    is relative, but absolute for the columns `ABSOLUTE`.
     """
     for name in ours.dtype.names or ():
         a, b = theirs[name].astype(ours.dtype[name]), ours[name]

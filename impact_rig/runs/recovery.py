@@ -128,9 +128,10 @@ class DamagedFile:
         return memoryview(self.read(found))[RECORD_HEAD.size :]
 
     def walk(self) -> Iterator[Found | Damage]:
-        """Yield the positions of the valid records of the data section, and the damaged parts between, in file order.
+        """Yield the positions of the records of the data section, and the damaged parts between, in file order.
 
-        The iteration ends at the DataEnd record, which is not yielded, or without one at the end of the file.
+        The records are structurally valid; checksums and the contents of chunks are not checked. The iteration ends at
+        the DataEnd record, which is not yielded, or without one at the end of the file.
         """
         position = 0
         if self._read(0, len(records.MAGIC)) == records.MAGIC:
@@ -173,7 +174,8 @@ class DamagedFile:
     def _next_record(self, start: int) -> int:
         """Return the offset from `start` on of the next chunk, attachment or metadata record with consistent lengths.
 
-        It is the size of the file if there is none.
+        It is the size of the file if there is none. Of the metadata records, only those of this package and of rosbag2
+        are searched.
         """
         window, width = start, _FIRST_WINDOW_BYTES
         while window < self.size:
@@ -307,7 +309,8 @@ class FileReport:
     def missing_s(self) -> float | None:
         """Duration of the scans that are missing before, between and after the recovered ones [s of rig time].
 
-        Before and after, the duration follows from the first and last log time in the index, which are rig time.
+        Before and after, the duration follows from the first and last log time in the index, which count as rig
+        time.
         Gaps between recovered scans count as 0 if the scan rate is unknown. The result is None without an index.
         """
         if self.expected is None:
@@ -433,7 +436,7 @@ def read_record(record: Mapping[str, str]) -> Recovered | None:
         why = f"it has no entry {error}" if isinstance(error, KeyError) else error
         raise DamageError(
             f"the metadata record {RECORD_NAME!r}, the losses of the recovery that wrote this run, is invalid: {why}; "
-            "impact-rig recover writes a run with the same messages without these losses"
+            "impact-rig recover writes the same messages to a new run, which does not state these losses"
         ) from error
 
 
@@ -467,7 +470,8 @@ def recover(path: Path | str, out: Path | str, *, accept_unchecked: bool = False
             checksum, as rosbag2 writes them by default. Damage in them is not detected.
 
     Returns:
-        The report: the counts of recovered and missing messages, and each damaged part with the reason.
+        The report: the counts of recovered and missing messages, and each damaged part (at most 1000) with the
+        reason.
 
     Raises:
         RecordingError: no message can be recovered (then nothing is written), `path` cannot be read, or `out` cannot be

@@ -122,9 +122,10 @@ def verify(run: Run) -> Verification:
         run: an open run.
 
     Returns:
-        The result. `identical` is true if every compared value is equal bit for bit, false if not, and None if the run
-        cannot be verified. `reason` has the first difference, or says why the run cannot be verified. `scans` counts
-        the scans that agree, and `topics` has the result of each topic. `str` describes the result in one line.
+        The result. `identical` is true if every compared value is equal bit for bit, false if one differs or the
+        recording was changed, and None if the run cannot be verified. `reason` has the first difference or change, or
+        says why the run cannot be verified; it is empty if `identical` is true. `scans` counts the scans that agree,
+        and `topics` has the result of each topic. `str` describes the result in one line.
 
     Raises:
         RecordingError: the run has no topic `daq/scan`, has several rigs of which none was chosen, or is damaged.
@@ -305,7 +306,8 @@ def _assigned(scans: Iterable[Table], journals: list[list[JournalEntry]], first:
     """Yield each block of scans with the index of the journal to which it belongs, from the journal `first` on.
 
     The next journal begins with the first block that is not before its first entry. If it is of a rig that was started
-    again at the same stamp or an earlier one, such as 0, it begins with the first block whose stamp does not increase.
+    again at the stamp at which the present journal began, or an earlier one, such as 0, it begins with the first block
+    whose stamp does not increase.
     """
     number, before_ns = first, None
     for table in scans:
@@ -334,9 +336,9 @@ def _verify(
         following: first entry of the next journal; None for the last journal.
 
     Returns:
-        The result, and a block if a reset ends the journal: the first block of the re-simulation after the recorded
-        ones, for `_is_missing` to check. The block is None if no reset ends the journal, or if the comparison ended
-        with a difference.
+        The result, and a block if a reset ends the journal: the next one of the re-simulation after the recorded ones
+        and those that a fault withheld, for `_is_missing` to check. The block is None if no reset ends the journal, if
+        it cannot be simulated (`_next`), or if the comparison ended with a difference or an error.
     """
     compared = 0
     try:
@@ -658,7 +660,7 @@ class _OtherTopics:
         return self._again
 
     def compare(self, block: Block) -> None:
-        """Compare all recorded messages of the time of a re-simulated block, except its scans.
+        """Compare the recorded messages of the time of a re-simulated block, except scans, journal and configuration.
 
         The scans of the block need not be recorded.
         """
@@ -887,7 +889,7 @@ class _Monitor:
     """Comparison of the monitor of one channel: its recorded messages with the filtered scans of the re-simulation.
 
     When the rate of the monitors changes, the rig restarts the filter, which then uses only later scans. Therefore, the
-    first `HALF_PERIODS` messages at a rate are not compared, nor those after each gap in the messages.
+    first `HALF_PERIODS` messages at a rate are not compared, nor as many after each gap in the messages.
     """
 
     def __init__(self, run: Run, channel: str) -> None:
@@ -910,7 +912,7 @@ class _Monitor:
     def compare(
         self, stamp_ns: int, made: list[tuple[int, Smoothed]], fitted: list[Instrument], calibrations: list[Table]
     ) -> None:
-        """Compare the recorded monitor message with a stamp, if there is one.
+        """Compare the recorded monitor message that has this stamp, if there is one.
 
         Args:
             stamp_ns: stamp of the message [ns].
@@ -964,8 +966,8 @@ def _monitor_rates_hz(run: Run) -> set[float]:
 def _fields_differ(found: dict[str, Any], wanted: Mapping[str, object]) -> str:
     """Return the first field of a recorded monitor message that differs, with both values; empty if none does.
 
-    `wanted` has the re-simulated values. A recorded value must equal one exactly, or after rounding to a 32-bit float.
-    NaN equals nothing.
+    `wanted` has the re-simulated values by field; other fields are not compared. A recorded value must equal the
+    re-simulated one, or the latter rounded to a 32-bit float. NaN equals nothing.
     """
     for path, value in wanted.items():
         ours, theirs = (np.array(one, np.float64).reshape(-1) for one in (value, found.get(path, math.nan)))
@@ -985,7 +987,7 @@ def _stamped(table: Table) -> tuple[int, Table]:
 def _joints_differ(recorded: tuple[NDArray[np.float64], ...], truth: np.void) -> str:
     """Return the first quantity of a recorded joint state that differs from the true motion, with both values.
 
-    The text is empty if none differs.
+    They must agree bit for bit; the text is empty if all do.
     """
     for what, found, values in zip(("position", "velocity", "effort"), recorded, joints(truth), strict=True):
         true = np.array(values, np.float64)

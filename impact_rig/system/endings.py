@@ -75,9 +75,9 @@ class Ending:
     def run(self, work: Callable[[], int], *, interrupting: bool = True) -> int:
         """Call `work`, and return its exit code, or after a signal the exit code for the first signal.
 
-        Further signals have no effect. After a signal whose exit code is not 0, this prints the name of the program and
-        the signal on stderr. If the process still runs 5 s after the work has ended on a signal, because of threads of
-        other libraries, it is ended.
+        Further signals have no effect. After a signal, exceptions of `work` are discarded, and this prints the name of
+        the program and the signal on stderr, unless the exit code is 0 and `reason` is empty. If the process still runs
+        5 s after the work has ended on a signal, because of threads of other libraries, it is ended.
 
         Args:
             work: main function of the program.
@@ -188,8 +188,8 @@ def defer_signals() -> Iterator[None]:
 def block_signals() -> Iterator[None]:
     """Block SIGINT and SIGTERM for this thread during a `with` block.
 
-    A signal that arrives in the block takes effect at its end. Processes and threads that are started in the block
-    receive neither signal, unless they unblock it themselves.
+    A signal that arrives in the block takes effect at its end, or at once if the process has a thread that does not
+    block it. Processes and threads started in the block receive neither signal, unless they unblock it themselves.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:

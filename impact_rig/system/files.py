@@ -249,8 +249,8 @@ def plain(value: Any) -> object:  # Any: NumPy's types, without importing NumPy
     """Convert a value to types that JSON has, for output that other programs read.
 
     NaN and infinite numbers become None, values of NumPy plain numbers and lists, and values of all other types the
-    text that `str` gives. Bytes become text (UTF-8, with U+FFFD for invalid bytes). Mappings and sequences are
-    converted with all that they contain.
+    text that `str` gives. Bytes become text (UTF-8, with U+FFFD for invalid bytes). Mappings, lists and tuples are
+    converted with all that they contain; the keys of mappings become text.
     """
     if isinstance(value, (bool, int, str)) or value is None:
         return value

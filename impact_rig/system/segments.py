@@ -51,11 +51,11 @@ _BYTES = 52_400  # size of such a segment
 
 
 class Watch:
-    """Context manager whose thread marks half-created shared-memory segments of Fast DDS as corrupt.
+    """Context manager whose thread marks half-created shared-memory ports of Fast DDS of this user as corrupt.
 
-    Fast DDS then recreates them instead of waiting forever for the killed process that left them. A segment is marked
-    if it is half created in two successive checks. Entering the context checks once, and a second time after `poll_s`
-    if a segment is half created.
+    Fast DDS then recreates these segments instead of waiting forever for the killed process that left them. A segment
+    is marked if it is half created in two successive checks. Entering the context checks once, and a second time after
+    `poll_s` if a segment is half created.
 
     Args:
         directory: directory of the segments.

@@ -62,7 +62,7 @@ class Golden:
 
         Args:
             rig: rig that the test has run.
-            topics: topics to compare, which carry tables.
+            topics: topics to compare, which carry tables; an update saves all topics that the rig keeps.
             tolerances: largest absolute difference, by name of a column that each of the topics must have; all other
                 columns must agree bit for bit.
 

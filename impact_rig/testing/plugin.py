@@ -116,7 +116,8 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Save the runs of a failed test while its rigs still exist, and add their directories to pytest's report.
 
-    The directories are below that of the option `--rig-runs`. Runs of an earlier failure of the test are deleted.
+    The directories are below that of the option `--rig-runs` or, without it, of the ini setting `rig_runs`. The runs
+    replace those of an earlier failure of the test.
     """
     report = yield
     rigs = item.stash.get(_RIGS, [])
@@ -130,8 +131,8 @@ def pytest_runtest_makereport(
 def _keep(rig: testing.RigDriver, directory: Path, item: pytest.Item) -> str:
     """Save the run of a failed test's rig, and return lines for pytest's report.
 
-    If the run cannot be saved, or the rig gives no report, a line has the error. The same information is added to the
-    properties of the test, which a JUnit file contains.
+    If the run cannot be saved, or the rig gives no report, a line has the error. Directory of the run (empty if not
+    saved), report and seed are added to the properties of the test, which a JUnit file contains.
     """
     try:
         folder = rig.save(directory / rig.name)

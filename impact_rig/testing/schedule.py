@@ -79,7 +79,7 @@ INTERNAL = ("/parameter_events", "/rosout")
 
 
 class BlockedError(AssertionError):
-    """Error of a callback that does not return.
+    """Error of a callback, or of other code of a hosted node, that does not return.
 
     It waits although no other callback can run, or runs for over 20 s of wall time.
     """
@@ -148,14 +148,14 @@ class _Latched:
 
 
 class LocalRigWithNodes(LocalRig):
-    """Rig in this process that can host ROS nodes: a `LocalRig` with `host` and `listen` as `RosRig` has them.
+    """Rig in this process that can host ROS nodes: a `LocalRig` with methods `host` and `listen`, similar to `RosRig`.
 
     Until it hosts a node, it behaves as a `LocalRig`, whose arguments it takes. Its topics are in the root namespace:
     scans are on `/daq/scan`.
 
     Attributes:
-        callbacks: the callbacks that have run and what they published, one line each, oldest first; the last
-            20,000 are kept.
+        callbacks: log of the hosted nodes, oldest line first: callbacks that have run, messages that they published
+            or lost, changes of parameters and calls of services. The last 20,000 lines are kept.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -223,7 +223,7 @@ class LocalRigWithNodes(LocalRig):
         return self._collectors[topic]
 
     def send(self, topic: str, message: Any, qos: QoSProfile | None = None) -> None:
-        """Publish a message to the hosted nodes, as another node would do; None as `qos` means that of commands.
+        """Publish a message to the hosted nodes, not to the rig; None as `qos` means that of commands.
 
         Callbacks for it run in the next `step`. If a callback sends it, they run after that callback in the same step.
         """
@@ -246,8 +246,8 @@ class LocalRigWithNodes(LocalRig):
     def step(self, blocks: int = 1, timeout_s: float = STEP_TIMEOUT_S) -> None:
         """Advance rig time by whole blocks; before and after each, run the callbacks of hosted nodes that are due.
 
-        An exception of a callback ends the call; a callback that does not return raises `BlockedError`. `timeout_s` is
-        ignored, as by a `LocalRig`.
+        An exception of a callback ends the call; blocks that are already simulated remain. A callback that does not
+        return raises `BlockedError`. `timeout_s` is ignored, as by a `LocalRig`.
         """
         if not self._hosted:
             super().step(blocks, timeout_s)
@@ -566,7 +566,10 @@ class LocalRigWithNodes(LocalRig):
             yield
 
     def _publish_output(self, topic: str, kind: Any, qos: QoSProfile, data: bytes) -> None:
-        """Deliver a message of a hosted node to collectors, to the rig if it is a command, and to the nodes' queues."""
+        """Deliver a message of a hosted node to collectors, to the rig and to the nodes' queues.
+
+        The rig gets only commands and drive samples. One that it rejects has no effect on it.
+        """
         relative = topic.removeprefix("/")
         message = deserialize_message(data, kind)
         if relative in self._collectors:

@@ -123,12 +123,15 @@ class Silence:
 
 @attrs.frozen
 class Reset:
-    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of all hosted nodes together."""
+    """Reset of the rig (scan 0, everything at rest) after `after` further callbacks of all hosted nodes together.
+
+    Nothing happens if the rig rejects the reset, for example because its shaker is stopped.
+    """
 
     after: int = 0
 
     def do(self, rig: RigDriver) -> None:
-        """Reset the rig after `after` further callbacks of all hosted nodes together, unless its shaker is stopped."""
+        """Reset the rig after `after` further callbacks of all hosted nodes together, unless it rejects the reset."""
         nodes = with_nodes(rig)
 
         def reset() -> None:
@@ -295,10 +298,12 @@ def schedules(
 ) -> st.SearchStrategy[list[Action]]:
     """Return a Hypothesis strategy for scenarios on a `LocalRigWithNodes`: actions on its nodes, transport and rig.
 
+    Except for the command timeout (`Silence`), they change no parameters of the rig.
+
     Args:
         topics: topics that the nodes under test subscribe to, without a leading slash.
         parameters: strategies for the values of parameters of the nodes, by name of the parameter.
-        messages: strategies for the field `data` of messages from other nodes, by name of the topic.
+        messages: strategies for the field `data` of messages from other nodes, by name of the topic as in `topics`.
         services: names of services of the nodes; they are called with an empty request.
         most_actions: maximum number of actions after a `LateJoin`, with which a scenario may begin.
         most_blocks: maximum length of a `LateJoin` or of one disturbance of the transport; overlapping ones can last

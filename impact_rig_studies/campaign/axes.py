@@ -126,7 +126,8 @@ def values(key: str, value: object) -> list[object]:
     A range ascends from `from`, and includes `to` if that is a whole number of steps away.
 
     Raises:
-        ConfigError: there are no or more than `MAX_VALUES` values, one occurs twice, or the range is invalid.
+        ConfigError: there are no or more than `MAX_VALUES` values, one occurs twice or is itself a list or mapping, or
+            the range is invalid.
     """
     items: list[object]
     if isinstance(value, dict):

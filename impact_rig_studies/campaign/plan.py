@@ -99,7 +99,9 @@ class Campaign:
     first: Study | None = None  # study whose first combination is the reference rig; None means the first of `studies`
 
     def reference(self) -> Job:
-        """Return the first job of the campaign file; its rig is the reference rig for the paper's statements.
+        """Return the first job of the campaign file, also if `only` has left out its study.
+
+        The paper's statements are judged from jobs with its rig and current, at any gap.
 
         Raises:
             ConfigError: the values of the job are inconsistent; the message names the study.
@@ -123,7 +125,7 @@ class Campaign:
         ]
 
     def only(self, names: tuple[str, ...]) -> Campaign:
-        """Return the campaign restricted to these studies, in the order of its file; the reference rig stays the same.
+        """Return the campaign restricted to these studies, in the order of its file; `reference` stays the same.
 
         Raises:
             ConfigError: there is no study of one of these names; the message lists the known ones.

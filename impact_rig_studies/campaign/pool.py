@@ -96,7 +96,7 @@ def in_parallel(
     except BrokenProcessPool as error:
         raise WorkerDiedError(
             "a worker process died, for example because the system killed it for lack of memory; run the command again "
-            "to measure what is missing, with fewer --workers if memory is short"
+            "to compute what is missing, with fewer --workers if memory is short"
         ) from error
     finally:
         with defer_signals():

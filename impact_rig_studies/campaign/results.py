@@ -84,7 +84,7 @@ class Point:
     def base_m(self) -> float:
         """Peak amplitude of the inferior base at the drive frequency [m]: mean of the measurements, settled or not.
 
-        NaN without a measurement.
+        NaN without a measurement, or if one of them is NaN.
         """
         return self._mean("base_amplitude")
 
@@ -92,7 +92,7 @@ class Point:
     def laser_m(self) -> float:
         """Peak amplitude of the superior base at the drive frequency [m]: mean of the measurements, settled or not.
 
-        NaN without a measurement.
+        NaN without a measurement, or if one of them is NaN.
         """
         return self._mean("laser_amplitude")
 
@@ -125,7 +125,7 @@ class Point:
 
     @property
     def note(self) -> str:
-        """Remark on a last measurement without impacts, that a slow sphere could still strike later; else empty."""
+        """Remark that a slow sphere could still strike if the last measurement's status is `no_impacts`; else empty."""
         return note_on(self.rows[-1]) if len(self.rows) else ""
 
     @property
@@ -180,10 +180,11 @@ def points_of(planned: Planned, outcome: Outcome) -> list[Point]:
 
 @attrs.frozen
 class Curves:
-    """Settled points of the reference rig by gap [m] and frequency [Hz]; one point for each gap and frequency.
+    """Settled points of the reference rig at the reference current, one for each gap [m] and frequency [Hz].
 
-    The reference rig is that of the campaign's first job (`Campaign.reference`). Points of sweeps without a reset are
-    left out. If several studies have a settled point with the same gap and frequency, that of the first one is kept.
+    Rig and current are those of the first job in the campaign file (`Campaign.reference`). Points of sweeps without a
+    reset are left out. If several studies have a settled point with the same gap and frequency, that of the first one
+    is kept.
     """
 
     by_gap: Mapping[float, Mapping[float, Point]]
@@ -264,9 +265,11 @@ def write_summary(
 ) -> dict[str, object]:
     """Write `summary.json`, the figures of a campaign or demo for other programs, and return them.
 
-    `lost_blocks` is the number of blocks of scans that never reached the analysis. `wall_s` is the duration by this
-    machine's clock, `simulated_s` in rig time. `seed` is the seed of the rig (`daq.seed`). `more` has further entries
-    of the file, which replace those of the same name.
+    `lost_blocks` is the number of blocks of scans that never reached the analysis (campaign) or are missing in the
+    recorded runs (demo). `wall_s` is the duration of the present measurement by this machine's clock or, after an
+    import, the length of the imported runs [s]. `simulated_s` is the simulated rig time [s] of all results, also of
+    those that were already stored. `seed` is the seed of the rig (`daq.seed`). `more` has further entries of the file,
+    which replace those of the same name.
 
     Raises:
         OSError: the file cannot be written.

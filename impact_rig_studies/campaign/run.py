@@ -207,7 +207,8 @@ def open_finished(directory: str | Path) -> Finished:
 def write_results(done: Finished, wall_s: float) -> dict[str, object]:
     """Write `points.csv` and `summary.json` into the campaign's directory, and return the content of `summary.json`.
 
-    `wall_s` is the duration of the measurement by this machine's clock [s].
+    `wall_s` is the duration of the present measurement by this machine's clock, without that of results which were
+    already stored, or after an import the length of the imported runs [s].
     """
     files.write_csv(done.directory / CSV_FILE, *table(done.points))
     block_scans = done.campaign.planned()[0].job.config().daq.block_scans

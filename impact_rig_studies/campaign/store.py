@@ -59,7 +59,7 @@ class DamagedPointError(RecordingError):
 
 
 class Store:
-    """Store of the outcomes of a campaign's jobs, one file each, in the campaign's directory.
+    """Store of the outcomes of a campaign's jobs in its directory: a JSON file each, and an NPZ file for a trace.
 
     Args:
         directory: directory of the campaign; created if missing.

@@ -209,8 +209,8 @@ def refuse_other_results(directory: Path, what: str, rig: RigConfig) -> None:
         return
     for name, value in differences(rig, kept).items():
         raise RecordingError(
-            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}; new results would "
-            "replace them: choose another --output"
+            f"{directory} has results of a rig with {name} {to_flat(kept)[name]}, not {value}; a directory "
+            "can have results of one rig only: choose another --output"
         )
 
 

@@ -106,9 +106,9 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
 
 def _measure(config: RigConfig, directory: Path) -> dict[float, NDArray[np.void]]:
-    """Measure without the sphere (key `NO_SPHERE`) and at all gaps; return the settled measurements by gap [m].
+    """Measure without the sphere (key `NO_SPHERE`) and at all gaps; return all measurements, settled or not, by gap.
 
-    Each measurement is recorded as a run in `directory`, named as in `RUNS`.
+    Keys are gaps in metres. Each gap is recorded as one run in `directory`, named as in `RUNS`.
 
     Raises:
         ImpactRigError: a gap could not be measured.
@@ -141,7 +141,7 @@ def _job(config: RigConfig, gap_m: float) -> Job:
 
 
 class Screen:
-    """Progress display of the demo: a bar per gap on a terminal, otherwise a line of text per settled measurement."""
+    """Progress display of the demo: a bar per gap on a terminal, otherwise lines of text, one per measurement."""
 
     def __init__(self) -> None:
         console = Console(stderr=True)

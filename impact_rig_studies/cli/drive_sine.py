@@ -90,7 +90,8 @@ def run_hold(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency while a controller holds an amplitude, and return the exit code.
 
     The amplitude is that of the coil current, or of the displacement of the inferior or superior base. The code is 1 if
-    the test ended early, a frequency was not measured, or an amplitude is outside the tolerance, else 0.
+    the test ended early, a frequency has no measurement (settled or not), or an amplitude is outside the tolerance;
+    else 0.
     """
     unit = HELD_UNITS[arguments.what]
     try:
@@ -105,7 +106,7 @@ def run_hold(arguments: argparse.Namespace) -> int:
 def run_sweep(arguments: argparse.Namespace) -> int:
     """Measure DT over the frequency at constant current, and return the exit code.
 
-    The code is 1 if the sweep ended early or a frequency was not measured, else 0.
+    The code is 1 if the sweep ended early or a frequency has no measurement, settled or not; else 0.
     """
     job = _job(arguments)
     return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
@@ -114,8 +115,8 @@ def run_sweep(arguments: argparse.Namespace) -> int:
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
     """Run a sweep over the frequency, write and print its curve, and return the exit code.
 
-    The code is 1 if the sweep ended early, a frequency was not measured, or a controlled amplitude is outside the
-    tolerance; else 0.
+    The code is 1 if the sweep ended early, a frequency has no measurement (settled or not), or a controlled amplitude
+    is outside the tolerance; else 0.
     """
     held = isinstance(sweep, ControlledSine)
     with _results(arguments) as directory:

@@ -110,7 +110,9 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _check_combination(arguments: argparse.Namespace) -> None:
-    """Check that no option is given that has no effect on what is fitted.
+    """Check that no option of one fit (campaign or `--paper`) is given for the other, nor `--rig` without `--decay`.
+
+    Other options without effect are accepted, such as `--decrement` with `--without decay`.
 
     Raises:
         ConfigError: there is such an option; the message names it.

@@ -110,7 +110,7 @@ def run_import(arguments: argparse.Namespace) -> int:
 def _mapping(guessed: Mapping, source: ImportedSignals, arguments: argparse.Namespace) -> Mapping:
     """Return the guessed mapping of a file's signals to channels, changed by the YAML file and then by the options.
 
-    `--channel` replaces signal, unit and sensitivity of its channel.
+    `--channel` replaces signal, unit and sensitivity of its channel; without a signal, it removes the channel.
     """
     from impact_rig_studies.importing.assignment import with_channel  # noqa: PLC0415  # as above
     from impact_rig_studies.importing.mapping import MAPPING_CHARACTERS, UNITS, refined  # noqa: PLC0415  # as above

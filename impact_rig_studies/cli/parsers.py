@@ -62,7 +62,7 @@ def add_demo(commands: Commands) -> None:
     )
     parser.set_defaults(needs_ros=lambda _: True)
     add_json(parser)
-    add_output(parser, "directory for runs, figure and summary (default: runs/demo_<date>)")
+    add_output(parser, "new or empty directory for runs, figure and summary (default: runs/demo_<time>)")
     parser.add_argument(
         "--scan-rate", type=int, default=Daq().rate_hz, metavar="HZ", help="scans per second (default: %(default)s)"
     )
@@ -135,7 +135,8 @@ def add_import(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="new or empty directory that receives the run, several runs, or the campaign (required)",
+        help="new or empty directory for the run or the campaign; for several runs, any directory, in which each gets "
+        "a new folder (required)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="show how the files would be imported, and write nothing"
@@ -583,11 +584,13 @@ def add_campaign(commands: Commands) -> None:
     parser.add_argument(
         "--scan-rate", type=int, metavar="HZ", help="scans per second (default: those of the rig defined in FILE)"
     )
-    parser.add_argument("--record", action="store_true", help="record every run as MCAP (only with --through ros)")
+    parser.add_argument(
+        "--record", action="store_true", help="record every newly measured run as MCAP (only with --through ros)"
+    )
     parser.add_argument(
         "--check",
         action="store_true",
-        help="exit with 1 if a point could not be measured, one of the paper's statements does not hold, or the "
+        help="exit with 1 if a point has no settled measurement, one of the paper's statements does not hold, or the "
         "reductions differ from the paper's by more than the printed limits",
     )
 
@@ -613,7 +616,7 @@ def add_report(commands: Commands) -> None:
         type=Path,
         metavar="DIR",
         help="campaign with varied constants (config/campaigns/margins.yaml), for the sensitivity of the "
-        "paper's statements (default: the reported campaign)",
+        "paper's statements; only for a simulated campaign (default: the reported campaign)",
     )
     parser.add_argument(
         "--branches",
@@ -625,7 +628,10 @@ def add_report(commands: Commands) -> None:
         "branches with the measured points (only for a simulated campaign)",
     )
     add_figures(parser, "directory for the figures (default: `figures` next to the page)")
-    add_recorded_rig(parser)
+    add_recorded_rig(
+        parser,
+        "namespace of the rig to read if DIR is a run; required if it has several (default: the only one)",
+    )
 
 
 def add_map(commands: Commands) -> None:

@@ -171,7 +171,8 @@ def followed(
         born: classifies a turn of the branch in p, given an orbit of the branch and the orbit at the turn. It returns
             `FLIP` if the branch is one of period-doubled orbits that begins there, `SYMMETRY` if it is one of
             asymmetric orbits that begins there, else `FOLD`.
-        noted: returns the `note` of an orbit. It is called for each orbit before `moved` may change the coordinates.
+        noted: returns the `note` of an orbit. It is called for each orbit and for the orbit of each change, before
+            `moved` may change the coordinates.
         moved: changes the coordinates of `f` if its section is too close to an impact of the newest orbit. It receives
             the points (z, p) of the start and of the two newest orbits, and returns their z in the new coordinates, or
             None if nothing changes.
@@ -248,7 +249,8 @@ def _corrected(f: Map, z: Real, p: float, tangent: Real | None) -> Orbit | None:
 def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
     """Return the matrix of Newton's method for the unknowns y = (z, p), shape (n + 1, n + 1).
 
-    The first n rows are the derivatives of f(z, p) − z. The last row is the tangent; without a tangent it fixes p.
+    The first n rows are the derivatives of f(z, p) − z, those for p only with a tangent, else 0. The last row is the
+    tangent; without a tangent it fixes p.
 
     Raises:
         numpy.linalg.LinAlgError: a derivative is not finite, because a neighbour of y is undetermined.
@@ -270,7 +272,8 @@ def _extended(f: Map, y: Real, tangent: Real | None) -> Real:
 def _orbit_at(f: Map, y: Real) -> Orbit | None:
     """Return the `Orbit` at a point y = (z, p) that is known to be a fixed point, with multipliers and tangent.
 
-    Returns None if these derivatives do not exist, because the map is NaN at a neighbouring point.
+    The sign of the tangent is arbitrary. Returns None if these derivatives do not exist, because the map is NaN at a
+    neighbouring point.
     """
     z, p = y[:-1], float(y[-1])
     try:
@@ -285,7 +288,8 @@ def _orbit_at(f: Map, y: Real) -> Orbit | None:
 def _changes(f: Map, here: Orbit, new: Orbit, born: Callable[[Orbit, Orbit], str]) -> Iterator[BranchChange]:
     """Yield the bifurcations between two successive orbits of a branch, each located where its test function is zero.
 
-    `born` classifies a turn of the branch in p, see `followed`. Bifurcations that cannot be located are left out.
+    `born` classifies a turn of the branch in p, see `followed`. Where a multiplier jumps over 1 or −1 the kind is
+    `GRAZING`. Bifurcations that cannot be located are left out. The order is by kind, not along the branch.
     """
     tests: dict[str, Callable[[Orbit, Real], float]] = {}
     if here.tangent[-1] * new.tangent[-1] < 0.0:
@@ -318,7 +322,7 @@ def _product(one: Orbit, value: float) -> float:
 def _pairs(one: Orbit) -> float:
     """Return Π (μ_i μ_j − 1) over all pairs of multipliers of an orbit, the test function of a torus bifurcation.
 
-    It is zero when a complex pair of multipliers is on the unit circle.
+    It is zero when a complex pair of multipliers is on the unit circle, but also when two real ones have the product 1.
     """
     products = np.outer(one.multipliers, one.multipliers)[np.triu_indices(len(one.multipliers), 1)]
     return float(np.prod(products - 1.0).real)

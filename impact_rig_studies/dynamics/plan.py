@@ -94,7 +94,7 @@ Start = str | tuple[float, float]
 
 @attrs.frozen(kw_only=True)
 class StudyTask(HashedTask):
-    """Independent part of a dynamics study, whose stored results are reused instead of running it again.
+    """Independent part of a dynamics study, whose stored results the same code reuses instead of running it again.
 
     It contains every value that determines its results, so that its hash identifies them.
     """
@@ -113,11 +113,11 @@ class StudyTask(HashedTask):
 
     @property
     def place(self) -> Place:
-        """Rig of the task, with frequency and amplitude of its drive."""
+        """Rig of the task, with frequency and amplitude of its drive, before a parameter of the study is changed."""
         return Place(from_flat(RigConfig(), self.changes), self.frequency_hz, self.current_a)
 
     def read(self, rows: Sequence[Row]) -> list[Row]:
-        """Check rows that were stored for this task, and return them.
+        """Check the number of columns of rows that were stored for this task, and return the rows as tuples.
 
         Raises:
             ValueError: a row does not have the number of columns of this kind of study.
@@ -141,9 +141,9 @@ class Plan:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of the rows of results, in which the parameter's name replaces `value`.
+        """Names of the columns of the rows of results; the parameter's name replaces `value`, if there is this column.
 
-        It is `frequency_hz` for a study that varies no parameter.
+        For the kind `orbit`, which varies no parameter, `frequency_hz` replaces it.
         """
         return tuple((self.over or FREQUENCY) if name == "value" else name for name in COLUMNS[self.kind])
 
@@ -228,7 +228,7 @@ def store(directory: str | Path) -> TaskStore[StudyTask]:
 
 
 def open_study(directory: str | Path, kind: str) -> FinishedStudy:
-    """Read a dynamics study with its stored results, for tables and figures.
+    """Read a dynamics study with the results stored so far, for tables and figures.
 
     Args:
         directory: output directory of `impact-rig dynamics`.
@@ -244,8 +244,9 @@ def open_study(directory: str | Path, kind: str) -> FinishedStudy:
     if not done.rows:
         if any(kept.get(task) is not None for task in plan.tasks):
             raise ConfigError(
-                f"{directory}: the study {kind} has no points, because no start gave a motion that can be simulated; "
-                "change the starts, the drive or the rig in the file of the study, and run it into another directory"
+                f"{directory}: the study {kind} has no points, because no start so far gave a motion that can be "
+                "simulated; change the starts, the drive or the rig in the file of the study, and run it into another "
+                "directory"
             )
         raise ConfigError(
             f"{directory} has no results of the study {kind} from this version of the code; run "
@@ -281,13 +282,14 @@ def kinds(directory: str | Path) -> list[str]:
 def run(task: StudyTask) -> list[Row]:
     """Run a task: simulate its motions, and return its rows of results with the columns `COLUMNS[task.kind]`.
 
-    A motion that cannot be simulated gives a row of NaN whose `regime` or `event` says so; a section then has no rows.
+    A motion that cannot be simulated gives a row whose measured values are NaN and whose `regime` or `event` says so; a
+    section then has no rows.
     """
     return _RUNNERS[task.kind](task, **task.what)
 
 
 def load(path: str | Path, kind: str, resolved: RigConfig | None = None) -> Plan:
-    """Read the plan of one dynamics study from its section of a YAML file, and check all values.
+    """Read the plan of one dynamics study from its section of a YAML file; other studies' sections are not checked.
 
     For a basin, this already simulates some starts, to find the periodic motions that they lead to.
 
@@ -453,7 +455,7 @@ def _over(kind: str, given: Mapping[str, object], place: Place) -> tuple[str, tu
 
 
 def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
-    """Read the starts of the sphere from a section of the file; without any, the sphere starts at the left wall.
+    """Read `starts` of the sphere from a section of the file; without this key, the sphere starts at the left wall.
 
     They are words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
 
@@ -601,7 +603,10 @@ def _without_orbit(value: float, reason: SimulationError) -> Row:
 
 
 def without_results(found: Found) -> list[str]:
-    """Return one line for each start whose motion gives no section or no orbit, with the start and the reason."""
+    """Return one line for each task whose motion gives no section or no orbit, with its name and the reason.
+
+    A section without stored rows counts as one that cannot be simulated. Tasks of other kinds of study are ignored.
+    """
     lines = []
     for task, rows in found:
         if task.kind in (ORBIT, CONTINUE) and rows and str(rows[0][1]).startswith(NO_ORBIT):
@@ -649,8 +654,8 @@ def _attractors(
     of the time.
 
     Returns:
-        For each motion, without duplicates, these numbers: DT, impacts per cycle, period in cycles, and then the seven
-        values of `Simulation.state` at the beginning of each cycle.
+        For each motion, sorted by DT and without duplicates, these numbers: DT, impacts per cycle, period in cycles,
+        and then the seven values of `Simulation.state` at the beginning of each cycle.
     """
     some = [
         [values[i] for i in sorted({*np.linspace(0, len(values) - 1, _LOOKED).astype(int).tolist()})]

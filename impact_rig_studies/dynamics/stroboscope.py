@@ -161,7 +161,8 @@ class Stroboscope:
     def seen(self, rig: MapRig, p: float, reading: Reading) -> Real:
         """Choose period, scale and section of the map for a settled motion, and return its coordinates at the section.
 
-        This advances the motion of `rig` by its period, and then on to the section.
+        This advances the motion of `rig` by its period, and then on to the section. Without impacts, the coordinates
+        do not include the sphere's position, nor its speed unless its guide has friction.
 
         Args:
             rig: the rig with the settled motion.
@@ -406,7 +407,8 @@ class Stroboscope:
         """Convert the coordinates z to the seven SI state values for `Simulation.set_state`.
 
         Values that are not coordinates are filled in: displacement and velocity of a prescribed base from its drive. A
-        sphere without impacts gets its resting position; without friction it rests in space (x_2 = v_2 = 0).
+        sphere without impacts gets the position that `seen` found if it slides, and the middle if it does not. Without
+        friction it rests in space (x_2 = v_2 = 0).
         """
         state = np.zeros(7)
         state[self._free] = z * self.scale

@@ -74,8 +74,9 @@ class ReplicatePlan:
     """Settings of the replication of a time history by a response of the rig.
 
     Attributes:
-        low_hz: lower edge of the band in which the drive is corrected; 0 includes the static value.
-        high_hz: upper edge of that band.
+        low_hz: lower edge of the band in which the drive is corrected; 0 includes the static value. The correction
+            fades out from there to `low_hz` / 2.
+        high_hz: upper edge of that band; the correction fades out from there to `ABOVE` times `high_hz`.
         iterations: maximum number of trials, including the first.
         enough: rms error over rms of the requested history at or below which the trials end.
         rest_s: time before and after the history in each trial [s]; its outer half is without drive.
@@ -164,7 +165,8 @@ def replicate(
         Then the best drive is repeated: the last result differs from the one before only in `repeated`.
 
     Raises:
-        CommandError: the shaker trips, or rejects the drive.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
+            `hardware`. After an error, call `hardware.output.stop()`.
         ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
@@ -406,7 +408,8 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
         After an error, or if you do not iterate to the end, call `hardware.output.stop()`.
 
     Raises:
-        CommandError: the shaker trips, or rejects a sample.
+        CommandError: the shaker trips or rejects a sample, samples arrive too late, or a reading exceeds `abort` of
+            `hardware`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz

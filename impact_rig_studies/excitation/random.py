@@ -174,8 +174,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         `hardware.output.stop()`.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, or the response exceeds the request by more than
-            `abort_db`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, a reading exceeds `abort` of
+            `hardware`, or the response exceeds the request by more than `abort_db`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz

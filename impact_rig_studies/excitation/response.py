@@ -52,7 +52,7 @@ class Response(enum.StrEnum):
     def channel(self) -> str:
         """Name of the channel of `daq/scan` from which this response is computed.
 
-        For the acceleration of the inferior base it is the base's displacement, which is differentiated twice.
+        For the acceleration of the inferior base it is `base`; only its spectra are converted, by `weight`.
         """
         return {"superior": "laser", "superior_acceleration": "accelerometer"}.get(self, "base")
 
@@ -144,7 +144,8 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
         values: contiguous readings of a channel, which begin and end at rest, shape (n,).
         calibration: calibration of the sensors.
         channel: index of the channel in `scans.CHANNELS`.
-        top_hz: upper edge of the band; if it is half of the scan rate or more, nothing is removed.
+        top_hz: upper edge of the band; components fade out from `FADE` times it to zero at it. If it is half of the
+            scan rate or more, none are removed, except the mean for a sensor with a high-pass.
     """
     frequency: Real = np.asarray(np.fft.rfftfreq(len(values), 1.0 / calibration.rate_hz), np.float64)
     edge = np.ones(len(frequency))
@@ -178,7 +179,8 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
     Raises:
         ConfigError: the band of the excitation is not ascending, or not below half of the sample rate.
         BudgetError: the excitation would have too many samples.
-        CommandError: the shaker trips, or rejects the drive.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
+            `hardware`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.rate_hz

@@ -82,8 +82,8 @@ def shock_response_spectrum(acceleration: Real, rate_hz: float, frequency_hz: Re
     Args:
         acceleration: acceleration of the base of the oscillators [m/s²], shape (n,).
         rate_hz: number of samples per second.
-        frequency_hz: natural frequencies of the oscillators, shape (k,).
-        quality: quality factor 1 / (2 ζ) of the oscillators; infinite without damping.
+        frequency_hz: natural frequencies of the oscillators, shape (k,), > 0.
+        quality: quality factor 1 / (2 ζ) of the oscillators, > 0.5; infinite without damping.
 
     Returns:
         The largest magnitude of the absolute acceleration at each natural frequency, during the shock and for one
@@ -195,7 +195,8 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
         The best result so far after each trial, and once more after a repetition of the best drive.
 
     Raises:
-        CommandError: the shaker trips, or rejects the drive.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
+            `hardware`. After an error, call `hardware.output.stop()`.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """

@@ -35,7 +35,7 @@ class Excitation:
 
     With the kind `burst_random` each frame has a new burst of noise, followed by silence. With `pseudo_random` one
     frame of noise is repeated, with `chirp` one chirp from the lower to the upper edge of the band. Each kind has the
-    level `rms`.
+    level `rms` while it is on; the silence of a burst frame does not count.
     """
 
     kind: str = attrs.field(default=BURST, validator=attrs.validators.in_(KINDS))  # kind of signal, one of `KINDS`

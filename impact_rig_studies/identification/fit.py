@@ -273,7 +273,8 @@ def identify(
 ) -> Identified:
     """Fit the constants of the rig (`NAMES`) to measurements by least squares.
 
-    If `measured` contains reductions of DT by the sphere, the nominal coefficient of restitution e is fitted as well.
+    If `measured` contains reductions of DT by the sphere, the nominal coefficient of restitution e is fitted as well,
+    unless its standard uncertainty `measured.u_restitution` is 0.
 
     Args:
         measured: the measurements.
@@ -588,7 +589,8 @@ class _Profile:
     def _fit(self, e: float, theta: Real, nuisance: Real) -> _Held | None:
         """Fit the constants to all data at a fixed e, from the log constants `theta` and the nuisance parameters.
 
-        Returns None if a motion on the way cannot be simulated, or a constant leaves its range.
+        Returns None if a motion on the way cannot be simulated, or a constant leaves its range. A fit that has not
+        converged after `ROUNDS` steps is returned, too.
         """
         try:
             here = self._at(e, theta, nuisance)
@@ -704,7 +706,10 @@ def _summary(held: Sequence[_Held]) -> tuple[Real, Real, tuple[Alternative, ...]
 
 
 def _differ(found: Sequence[Alternative]) -> bool:
-    """Return whether any two explanations differ in a constant by more than `APART` times the sum of uncertainties."""
+    """Return whether any two explanations differ in a constant by more than `APART` times the sum of uncertainties.
+
+    Their values of e are not compared.
+    """
     return any(
         bool(np.any(np.abs(one.log_constants - other.log_constants) > APART * (one.u_relative + other.u_relative)))
         for one, other in itertools.combinations(found, 2)

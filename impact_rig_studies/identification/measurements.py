@@ -229,7 +229,8 @@ SETTLE_S = 0.05  # time left out at the beginning, in which the laser's response
 def measured_decay(config: RigConfig, method: DecayMethod = fit_decay) -> Decay:
     """Simulate the free decay of a rig without its sphere, and return f_n and ζ as measured from its scans.
 
-    The rig is that of `config`, whose superior base is released from the displacement `DISPLACEMENT_M`.
+    The rig is that of `config`. Its inferior base is locked, and its superior base is released from the displacement
+    `DISPLACEMENT_M`.
     """
     config = from_flat(config, {"sphere.present": False, "daq.block_scans": min(config.daq.rate_hz, 10_000)})
     rig = LocalRig(config)

@@ -125,7 +125,7 @@ def _words(name: str) -> frozenset[str]:
 
 
 def _fits(signal: Signal, channel: str) -> bool:
-    """Return whether the unit of a signal is possible for a channel; volts and unknown units are possible for each."""
+    """Return whether the unit of a signal is possible for a channel; volts, unknown and missing units fit each."""
     found = quantity(signal.unit) if signal.unit else None
     return found is None or found == "V" or found in UNITS[channel]
 

@@ -89,7 +89,8 @@ def convert(
     Raises:
         ConfigError: no channel is mapped, a mapped signal does not exist, a unit is not possible for its channel, times
             are not uniform, or a table has an invalid value.
-        RecordingError: the signals have different lengths or abscissas, or fewer than two values.
+        RecordingError: the signals have different abscissas and the mapping does not resample them, or have one
+            abscissa but different lengths, or have fewer than two values.
         BudgetError: resampling would give too many values.
     """
     if not mapping.channels:
@@ -389,15 +390,16 @@ def _confirmed(mapping: Mapping, measured_hz: float, seconds: float, rate: float
 def _commands(
     source: ImportedSignals, mapping: Mapping, drive: ImportedSignals | None, followed: Real | None, instants: _Instants
 ) -> tuple[tuple[int, float, float], ...]:
-    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude [A], NaN if unknown); empty if none is known.
+    """Return the drive commands as (stamp [ns], frequency [Hz], amplitude, NaN if unknown); empty if none is known.
 
     They are those of the table `drive`. Its times count from the same instant as those of `source`, unless both contain
     dates. Without it, the values of the frequency signal `followed` are used, with a command at each change. Without
-    that signal the single frequency of the mapping is used.
+    that signal the single frequency of the mapping is used. The peak amplitudes are those of the mapping [A, or
+    m for a prescribed base], unless the table has a column `current`.
 
     Raises:
-        ConfigError: the table lacks a column, its columns differ in length, one of its times is not finite, or a column
-            has a wrong unit.
+        ConfigError: the table lacks frequencies or times, its columns differ in length, one of its times is not finite,
+            or a column has a wrong unit.
     """
     if drive is not None:
         frequency, current = (drive.signals.get(key) for key in ("frequency", "current"))
@@ -436,7 +438,8 @@ def _in_unit(path: Path, name: str, signal: Signal, wanted: str) -> Real:
     """Return the values of a signal in the unit `wanted`, in which they are if the file states no unit.
 
     Raises:
-        ConfigError: the unit is that of another quantity.
+        ConfigError: the unit is unknown, or that of another quantity.
+        RecordingError: the unit needs `pint` (see `units`), which is not installed.
     """
     unit = _PEAK.sub("", signal.unit)
     factor = units.unit_factor(unit, wanted) if unit else 1.0
@@ -459,8 +462,8 @@ def _with_amplitude(
     """Yield the drive commands with missing amplitudes estimated from the measured `values` of the drive.
 
     A command is (stamp [ns], frequency [Hz], peak amplitude in the unit of `values`, NaN if missing).
-    The estimate is √2 times the standard deviation of the values from the command to the next one. Without
-    values there, the amplitude remains NaN.
+    The estimate is √2 times the standard deviation of the values from the command to the next one, with NaN
+    as 0. Without values there, the amplitude remains NaN.
     """
     ends = [*(one[0] for one in commands[1:]), math.inf]
     for (instant, frequency, amplitude), end in zip(commands, ends, strict=True):
@@ -470,7 +473,10 @@ def _with_amplitude(
 
 
 def _longest_stretch(values: Real, index: NDArray[np.int64]) -> Real:
-    """Return the longest part of values without a missing scan and without NaN or infinity."""
+    """Return the longest part of values without a missing scan and without NaN or infinity, of equal ones the first.
+
+    `index` are the scan numbers of the values, with gaps where scans are missing.
+    """
     is_good = np.isfinite(values)
     ends = np.flatnonzero((np.diff(index) != 1) | (is_good[1:] != is_good[:-1])) + 1
     cuts = np.concatenate([[0], ends, [len(values)]])

@@ -58,10 +58,10 @@ def frequency_hz(stem: str) -> float | None:
 
 
 def gap_m(stem: str) -> float | None:
-    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`.
+    """Return the gap [m] in a file name such as `gap_0,5mm`, or 0 for one such as `no_sphere`, even if it has lengths.
 
-    Lengths next to a word such as `gap` take precedence over others. It is None if there is no length in mm or µm, or
-    if several differ.
+    Lengths next to a word such as `gap` take precedence over others. Otherwise it is None if there is no length in mm
+    or µm, or if several differ.
     """
     if _NO_SPHERE.search(stem):
         return 0.0

@@ -120,8 +120,8 @@ def time_unit(name: str, unit: str) -> str:
 def split_unit(heading: str) -> tuple[str, str]:
     """Return name and unit of a heading such as `base [mm]`, `acc (m/(s^2))`, `Weg / mm`, `Weg in mm`, `x_mm`.
 
-    The unit is empty if there is none. A unit after an underscore is returned, and is still part of the name: `x_mm`
-    gives `x_mm` and `mm`.
+    The unit is empty if there is none. Of units after an underscore, only those in `_SIGNAL_SUFFIXES` count, so
+    not `m`. They remain part of the name: `x_mm` gives `x_mm` and `mm`.
     """
     text = heading.strip()
     run = _RUN.fullmatch(text[:120])

@@ -34,7 +34,7 @@ def check_column_count(count: int) -> None:
     """Reject a file with more columns, signals or other parts than any measurement has.
 
     Raises:
-        BudgetError: `count` is above `COLUMNS`.
+        BudgetError: `count` is above `COLUMNS`, multiplied by IMPACT_RIG_BUDGET.
     """
     budget.allow("columns in a file", count, COLUMNS)
 
@@ -43,8 +43,8 @@ def check_value_count(count: float, file_bytes: int) -> None:
     """Reject a file that claims more numbers than a file of this size can really contain.
 
     Raises:
-        BudgetError: `count` is above `VALUES`, or as many numbers of 8 bytes exceed the limit of
-            `check_expanded_bytes`.
+        BudgetError: `count` is above `VALUES`, multiplied by IMPACT_RIG_BUDGET, or as many numbers of 8 bytes exceed
+            the limit of `check_expanded_bytes`.
     """
     budget.allow("values in a file", count, VALUES)
     check_expanded_bytes(8.0 * count, file_bytes)

@@ -46,7 +46,7 @@ def write(found: ImportedRun, directory: Path, clock_ns: int | None = None) -> P
     The run also contains the results of the analysis of its scans. A missing directory is created. An existing one may
     contain other files, but no recording.
 
-    `clock_ns` is the time of recording that the run states [ns since 1970]; None means now.
+    `clock_ns` is the time of writing that the run states [ns since 1970], not that of the scans; None means now.
 
     Raises:
         RecordingError: the run cannot be written, or the directory already contains a recording.

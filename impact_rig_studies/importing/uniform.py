@@ -239,10 +239,10 @@ def _explained(abscissa: Abscissa) -> str:
 
 
 def _measured(path: Path, times: Real, *, resampled: bool) -> tuple[Rate, NDArray[np.int64]]:
-    """Return the scan rate [Hz] of listed times [s], and the number of each scan, with gaps for missing ones.
+    """Return the scan rate [Hz] of times listed [s after the first], and each scan's number; missing ones leave gaps.
 
-    If the times are not uniform but will be `resampled`, the rate is that of their median step, and the scans are
-    numbered without gaps.
+    If the times are not uniform or scans are missing, but the signals will be `resampled`, the rate is that of the
+    median step, and the scans are numbered without gaps.
 
     Raises:
         ConfigError: a time is not finite, the times do not increase, or they are not uniform and not `resampled`.
@@ -328,7 +328,7 @@ def _resampled(
     """Return signals at the requested `rate` [Hz], by interpolation; `exact` is the scan rate of the file [Hz].
 
     Each stretch of times without a step of more than `HOLE` periods has a spline of its own, and nothing is
-    interpolated between stretches.
+    interpolated between stretches. A stretch of a single scan is dropped.
     The signals in `followed` (frequency and gap) are not interpolated, but keep their value until the next one.
 
     Raises:

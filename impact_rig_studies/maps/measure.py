@@ -99,7 +99,7 @@ class Settings:
 
 
 class Reading(NamedTuple):
-    """Settled motion at one point of a map; X_1, X_b: complex amplitudes of the bases at the drive frequency."""
+    """Motion at one point of a map; X_1, X_b: complex drive-frequency amplitudes of superior and inferior base."""
 
     regime: str
     """Regime of the motion: periodic, modulated, chaotic, intermittent or `FAILED`.
@@ -122,7 +122,7 @@ NOTHING = Reading(FAILED, *[math.nan] * 10)  # reading of a point whose motion c
 
 
 class _Record(NamedTuple):
-    """Record of consecutive drive cycles: amplitudes of both bases and start of the sphere in each, and the impacts."""
+    """Record of drive cycles: amplitudes of both bases in each, the sphere's motion at its start, and the impacts."""
 
     cycles: NDArray[np.void]  # one row of dtype `fundamental.CYCLE` per cycle
     cycle: NDArray[np.int64]  # for each impact, the index of its cycle in the record

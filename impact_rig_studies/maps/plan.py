@@ -87,7 +87,7 @@ class MapLine(HashedTask):
     current_a: float  # amplitude of the drive (A, m or V by `drive.kind`), unless it is an axis
 
     def describe(self) -> str:
-        """Return the fixed values of the line and how its points start as text, for progress messages.
+        """Return the values in `held` and how the points of the line start as text, for progress messages.
 
         The latter is `reset`, `up`, `down`, or the start of the sphere.
         """
@@ -188,7 +188,7 @@ class MapPlan:
 
     @property
     def points(self) -> int:
-        """Number of points to measure: grid points times `layers` (directions, or starts of the sphere)."""
+        """Number of points to measure: grid points times `layers`, without those of a search for the optimum."""
         return len(self.layers) * math.prod(map(len, self.axes.values()))
 
     @functools.cached_property

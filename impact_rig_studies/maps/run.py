@@ -58,7 +58,7 @@ class FinishedMap:
     """
 
     def to_dataframe(self) -> Any:
-        """Return the measured points as a `pandas.DataFrame`, with the columns of `map.csv`.
+        """Return the stored results as a `pandas.DataFrame`: rows and columns of `map.csv`, with failed points.
 
         Raises:
             ImpactRigError: pandas is not installed, or no point is measured yet.
@@ -80,14 +80,15 @@ class FinishedMap:
 
 
 def store(directory: str | Path) -> TaskStore[MapLine]:
-    """Return the store of a map's measured lines in its output directory; only `TaskStore.prepare` creates files."""
+    """Return the store of a map's measured lines in its output directory; this call creates no files."""
     return TaskStore(Path(directory), "map", "lines", ("maps",))
 
 
 def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
-    """Return a map with the results that are already stored in its output directory; missing points are NaN.
+    """Return a map with the results that are already stored in its output directory.
 
-    Results of other versions of the code count as missing.
+    Missing points are NaN ("" for the regime). Damaged results, and those of other versions of the code, count as
+    missing.
     """
     kept = store(directory)
     shape, names = tuple(map(len, plan.axes.values())), list(plan.axes)
@@ -111,10 +112,11 @@ def finished(plan: MapPlan, directory: str | Path) -> FinishedMap:
 def open_map(directory: str | Path) -> FinishedMap:
     """Read a map with its stored results from the output directory of `impact-rig map`; nothing is simulated.
 
-    Points that are not measured yet, or by another version of the code, are NaN.
+    Points that are not measured yet, whose results are damaged, or that another version of the code measured, are
+    NaN ("" for the regime).
 
     Raises:
-        ConfigError: the directory is not that of a map.
+        ConfigError: the directory is not that of a map, or its plan or configuration is invalid.
     """
     kept = store(directory)
     return finished(load_map(kept.file, resolved=kept.configuration()), directory)

@@ -146,7 +146,7 @@ def ignore(_sweep: SteppedSine) -> None:
 def operate(sweep: SteppedSine, rig: RigDriver, on_update: OnUpdate = ignore) -> None:
     """Run a complete sweep on a rig until it has finished or is aborted; see `sweep.state` and `sweep.reason` then.
 
-    At the end, the drive keeps the setpoint of the last point: the current is not set to zero.
+    At the end, the current is not set to zero: the drive keeps its last setpoint, unless the shaker was stopped.
 
     Args:
         sweep: the sweep, which decides the next setpoint and keeps the measurements.

@@ -165,7 +165,7 @@ class PhaseLock:
         stage: stage of a running lock.
         reason: reason why the lock was aborted; empty otherwise.
         frequency_hz: commanded frequency.
-        current_a: commanded peak current [A] (m or V by `drive.kind`).
+        current_a: peak current while the lock is running [A] (m or V by `drive.kind`); not 0 after its end.
         locked_ns: rig time of the first lock, or None.
         u_gain: relative standard uncertainty of DT due to the sensors' sensitivities, from the newest sample; 0 before
             the first.
@@ -192,7 +192,10 @@ class PhaseLock:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """All samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s]."""
+        """Samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s].
+
+        A sample with invalid or too large amplitudes, which aborts the lock, is left out.
+        """
         return np.array(self._rows, PHASE_LOCK)
 
     def rows_from(self, first: int) -> NDArray[np.void]:
@@ -301,6 +304,8 @@ class PhaseLock:
     def _detuning_hz(self, turned: complex) -> float:
         """Return an estimate of resonance − present frequency [Hz], limited to ± one step of the search.
 
+        With the current as reference, this also corrects the slope of the resonance.
+
         Args:
             turned: complex amplitude of the superior base over that of the reference; at the resonance its phase is
                 −90°.
@@ -315,7 +320,9 @@ class PhaseLock:
         return min(max(detuning, -self._plan.step_hz), self._plan.step_hz)
 
     def _adapt(self, detuned: float) -> None:
-        """Correct the slope [Hz per tan φ'], from the signs of successive detunings, if the reference is the current.
+        """Correct the slope of a lock whose reference is the current, from the signs of successive detunings.
+
+        The slope is in Hz per tan φ', with φ' = phase of the superior base relative to the current + 90°.
 
         Args:
             detuned: tan φ' of the newest sample.
@@ -389,7 +396,7 @@ class LockedSine:
             lock is aborted if one of them takes longer.
 
     Attributes:
-        measured: number of samples so far.
+        measured: number of samples so far, also one that aborted the lock and is missing in `rows`.
     """
 
     def __init__(self, plan: LockPlan, info: NDArray[np.void], accept_limit_s: float) -> None:
@@ -414,7 +421,10 @@ class LockedSine:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """All samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s]."""
+        """Samples so far: rows of `PHASE_LOCK`, whose `time` is the rig time since the start of the lock [s].
+
+        A sample with invalid or too large amplitudes, which aborts the lock, is left out.
+        """
         return self._lock.rows
 
     def sweep_from(self, first: int) -> NDArray[np.void]:
@@ -500,7 +510,7 @@ class LockedSine:
         return self._ask(setpoint, self._end_ns)
 
     def on_time(self, now_ns: int) -> Setpoint | None:
-        """Process the present rig time: abort the lock if no command was accepted, or no scans arrived, in time.
+        """Process the present rig time: abort the lock if its command was not accepted, or no scans arrived, in time.
 
         The limit for both is `accept_limit_s`. Returns the setpoint with zero current after an abort, else None.
         """
@@ -537,7 +547,7 @@ BLOCKS_PER_S = 20  # blocks of the rig in a loop: rig time passes in steps of 50
 
 
 def with_short_blocks(config: RigConfig) -> RigConfig:
-    """Return the configuration with blocks of scans of 50 ms, so that a controller can react after each block."""
+    """Return the configuration with blocks of scans of about 50 ms, so that a controller can react after each."""
     return from_flat(config, {"daq.block_scans": max(1, config.daq.rate_hz // BLOCKS_PER_S)})
 
 
@@ -558,9 +568,10 @@ class LockLoop:
         return self.rig.now_ns
 
     def set(self, setpoint: Setpoint) -> None:
-        """Command the frequency, then the current, of a setpoint, each only if it differs from the last one commanded.
+        """Command the frequency, then the current, of a setpoint, each only if it differs from the last one.
 
-        Nothing is commanded while the shaker of the rig is stopped.
+        The last setpoint is that of the previous call, at first that of the configuration. Nothing is commanded while
+        the shaker of the rig is stopped.
         """
         if self.rig.stopped:
             return
@@ -743,7 +754,7 @@ def measure_backbone(sweep: AmplitudeSweep, loop: LockLoop) -> tuple[list[Amplit
 def _pass(
     lock: PhaseLock, loop: LockLoop, seconds: float, until: Callable[[PhaseLock], bool] = lambda _: False
 ) -> None:
-    """Continue a lock on a rig for some seconds of rig time, or less if it ends or a condition becomes true."""
+    """Continue a lock for at least some seconds of rig time (whole samples), until it ends, or a condition is true."""
     end_ns = loop.now_ns + round(seconds * NS_PER_S)
     follow(lock, loop, lambda one: until(one) or loop.now_ns >= end_ns)
 

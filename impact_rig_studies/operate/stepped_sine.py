@@ -310,9 +310,9 @@ class ControlledSine(SteppedSine):
     """State machine of a stepped sine whose current is corrected until a measured amplitude is near its target.
 
     At each point, the amplitude is accepted within the tolerance of `hold`, or after its maximum number of corrections.
-    Further measurements at the point are accepted without a correction. The column `held` of `controlled` says which
-    measurements are within the tolerance. The sweep is aborted if the next current or the measured superior base
-    exceeds its limit in `hold`.
+    An amplitude of 0 or NaN is accepted as well, since it cannot be corrected. Further measurements at the point are
+    accepted without a correction. The column `held` of `controlled` says which measurements are within the tolerance.
+    The sweep is aborted if the next current or the measured superior base exceeds its limit in `hold`.
 
     Args:
         plan: points and limits of the sweep. Its current is the initial value at the first point; each later point

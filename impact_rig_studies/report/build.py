@@ -71,8 +71,9 @@ def build_report(
         rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
-        ConfigError: a directory contains neither campaign nor run, `margins` varies no constant, or branches belong to
-            another rig; or margins or branches are given for a run or an imported campaign, or `rig` for a campaign.
+        ConfigError: a directory contains neither campaign nor run; `margins` has no complete results of two rigs or
+            more; or `branches` are missing, of another rig, or over a parameter that a report does not show. Also if
+            `margins` or `branches` are given for a run or an imported campaign, or `rig` for a campaign.
         RecordingError: a campaign has no measurement yet, a run cannot be read or analysed, or a file cannot be
             written.
     """
@@ -91,7 +92,7 @@ def build_report(
         html = measured.document(data, content, _links([target.parent / kept.FILE_NAME, *sorted(paths)], target.parent))
         return write(data.title, html)
     if rig:
-        raise ConfigError(f"--rig applies only to a run, but {directory} holds a campaign; leave it out")
+        raise ConfigError(f"--rig applies only to a run, but {directory} is not a run; leave it out")
     done = run.open_finished(directory)
     if not done.points:
         raise RecordingError(

@@ -86,7 +86,8 @@ def budget_rows(found: Budget) -> list[list[str | Cell]]:
 def earlier_figures(path: Path) -> set[str]:
     """Return the names of the figures of an earlier report whose `report.json` is at `path`.
 
-    Without a readable one the result is empty. Names that cannot be file names are left out.
+    Without a readable one the result is empty. Names with characters other than letters, digits, `_`, `-` and spaces
+    are left out, as are names of more than 100 characters.
     """
     try:
         found = json.loads(files.read_bytes(path, LARGEST_BYTES))["figures"]

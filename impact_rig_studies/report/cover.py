@@ -60,7 +60,7 @@ def opening(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def versions(done: Finished) -> dict[str, object]:
-    """Return the software versions, and the machine, with which a campaign was measured, from `provenance.json`.
+    """Return software versions, machine and way of measurement (`through`) of a campaign, from `provenance.json`.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -134,7 +134,7 @@ def apparatus(done: Finished, content: Content) -> Iterator[Markup]:
 
 
 def instruments_table(info: NDArray[np.void], content: Content) -> Iterator[Markup]:
-    """Yield a table of the instruments in rows of `daq/info`, and the meaning of its columns, as HTML."""
+    """Yield a table of the instruments in rows of `daq/info`, after an explanation of some columns, as HTML."""
     yield paragraph(
         "u(S): relative standard uncertainty of the sensitivity for a small vibration; noise: rms; read after: "
         "conversion after the scan clock."

@@ -309,7 +309,7 @@ REGIMES = {"periodic": PERIODIC, "modulated": MODULATED, "chaotic": CHAOTIC}
 
 
 def colour(gap_m: float) -> str:
-    """Return the colour of a gap [m], or of `NO_SPHERE`, in all figures; `INK` for a gap that is not in the paper."""
+    """Return the colour of a gap [m], or of `NO_SPHERE`, in these figures; `INK` for a gap that is not in the paper."""
     gaps = list(REDUCTION_PERCENT)
     return MUTED if gap_m == NO_SPHERE else SERIES[gaps.index(gap_m)] if gap_m in gaps else INK
 
@@ -377,7 +377,7 @@ def _title(gap_m: float) -> str:
 def draw_peaks(curves: Curves) -> Iterator[Drawn]:
     """Draw one figure of DT within 0.1 Hz of 9.1 Hz, measured every 0.01 Hz; nothing if no peak was measured.
 
-    It has a line for each gap and one without the sphere, with dotted verticals at their peaks.
+    It has a line for each case whose peak was measured (a gap of the paper, or no sphere), and a dotted vertical there.
     """
     figure, (axis,) = new_axes(3.4)
     lines: list[Line] = []

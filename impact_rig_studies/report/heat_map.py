@@ -46,9 +46,10 @@ PREDICTED = "#e5007d"  # colour of the predicted limits
 
 
 def heat_maps(done: FinishedMap) -> Iterator[Drawn]:
-    """Yield the figures of a finished map: one per direction, or start of the sphere, and value of the third axis.
+    """Yield the figures of a map: one per direction, or start of the sphere, and value of the third axis.
 
-    A map of two axes that was measured upwards and downwards also has a figure of DT down / DT up − 1 in percent.
+    Points without a stored result stay empty. A map of two axes that was measured upwards and downwards also has a
+    figure of DT down / DT up − 1 in percent.
     """
     plan = done.plan
     pages = list(plan.axes.items())[2:]

@@ -111,7 +111,8 @@ def _origins(directory: Path) -> Iterator[tuple[str, str]]:
 def of_run(path: Path, rig: str | None = None) -> MeasuredData:
     """Return the content of the report of a run; `rig` is a namespace, needed only if the run has several rigs.
 
-    It contains the newest settled measurement at each gap and frequency; if there is none, the last status instead.
+    It contains the newest settled measurement at each gap and frequency. If the whole run has none, it contains the
+    last status of the run instead.
 
     Raises:
         RecordingError: the run cannot be read or analysed.

@@ -62,10 +62,10 @@ def study_figures(
 
     Args:
         study: name of the study.
-        points: points of the study.
-        curves: settled points of the reference rig.
+        points: points of the study; only settled ones are drawn.
+        curves: settled points of the reference rig, which is that of the campaign's first job.
         calibration: calibration of the instruments.
-        theory: predicted reduction over the gap; None means none.
+        theory: predicted reduction over the gap, drawn only in a figure of the reduction over the gap; None means none.
     """
     settled = [point for point in points if point.settled]
     if not settled:
@@ -167,7 +167,8 @@ def _reduction(point: Point, curves: Curves, calibration: Calibration) -> tuple[
 def continued(name: str, study: FinishedStudy, points: Sequence[Point], config: RigConfig) -> Drawn:
     """Draw DT along continued branches of the model's motions, with measurements at the values held along them.
 
-    The measurements are the settled points of the reference rig with its sphere.
+    The measurements are the settled points with sphere of the reference rig, that of the campaign's first job, at the
+    current of that job.
 
     Args:
         name: name of the figure.

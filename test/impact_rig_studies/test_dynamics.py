@@ -537,7 +537,7 @@ def test_a_section_without_points_is_not_taken_for_a_missing_one(tmp_path, monke
     (tmp_path / "study.yaml").write_text("section: {cycles: 1}")
     words = ["dynamics", "section", str(tmp_path / "study.yaml"), "--workers", "1", "--no-figures"]
     assert main([*words, "--output", str(tmp_path / "out")]) == 1
-    with pytest.raises(ConfigError, match="has no points, because no start gave a motion that can be simul"):
+    with pytest.raises(ConfigError, match="has no points, because no start so far gave a motion that can be simul"):
         plan.open_study(tmp_path / "out", "section")
 
 

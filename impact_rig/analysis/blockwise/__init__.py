@@ -126,6 +126,7 @@ class Intervals:
         """Add a block and yield the intervals that it completes.
 
         Intervals are counted from the first scan after the last gap; one that a gap cuts short is left out.
+        Iterate to the end before the next call, since only the iteration adds the block.
         """
         self._pending.add(scan)
         if self._pending.count < self.length:

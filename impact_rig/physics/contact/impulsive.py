@@ -46,7 +46,7 @@ class Restitution(ContactLaw):
     returns = 0.350
 
     def force(self, pair: ContactPair) -> Force:  # noqa: ARG002  # an impulse needs no stiffness
-        """Return a `Force` marked as rigid: the simulation then reverses the relative speed and needs no force."""
+        """Return a `Force` marked as rigid: the simulation then multiplies the relative speed by −e."""
         return Force(_never, 0.0, 0.0, 1.0, self.restitution, rigid=True)
 
     def realised_restitution(self) -> float:

@@ -151,8 +151,8 @@ class CompiledForce(NamedTuple):
     Attributes:
         at_point: function that takes (parameters, per_v0, turned_at, w, speed, step) and fills the step's `point` with
             the results of the law's function.
-        at_stages: function that takes (parameters, per_v0, step), reads turned_at, w and speed of all stages from the
-            step, and fills its force, lossy, force_by_w and force_by_speed.
+        at_stages: function that takes (parameters, per_v0, step), reads the step's one turned_at and the w and speed of
+            all its stages, and fills its force, lossy, force_by_w and force_by_speed.
     """
 
     at_point: Any

@@ -72,10 +72,10 @@ def _spring_damper(
 
 @attrs.frozen
 class KelvinVoigt(ContactLaw):
-    """Contact law of a linear spring and damper, which k and c give the restitution e and the contact time t_c [s].
+    """Contact law of a linear spring and damper, with k and c such that a contact has restitution e and time t_c [s].
 
-    A contact that is released at zero indentation (`release: position`, the default) has them. One that is released at
-    zero force is shorter, and its restitution is larger unless e = 1, see `realised_restitution`.
+    This holds if the contact is released at zero indentation (`release: position`, the default). One that is released
+    at zero force is shorter, and its restitution is larger unless e = 1, see `realised_restitution`.
     """
 
     name = "kelvin_voigt"

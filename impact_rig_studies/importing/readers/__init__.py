@@ -56,7 +56,7 @@ class Format:
     prepare: Callable[[], object] | None = None  # called after the library is imported
 
     def load(self) -> tuple[ModuleType, ...]:
-        """Import the library, and return it as the additional arguments of `read`: a tuple of one module, or empty.
+        """Import the library, call `prepare`, and return the additional arguments of `read`: (library,), or none.
 
         Raises:
             RecordingError: the library is not installed.

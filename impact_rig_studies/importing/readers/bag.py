@@ -159,7 +159,8 @@ class _Series:
     def _add_cloud(self, message: Any, stamp_ns: int) -> None:
         """Add the rows of a `PointCloud2` as samples, each at the message's stamp plus the row's `time` or `t` [s].
 
-        If a message of several rows has no such column, only set `left_out`. A single row needs none.
+        If a message of several rows has no such column, or other columns than earlier messages, only set `left_out`. A
+        single row needs no times.
         """
         order = ">" if message.is_bigendian else "<"
         fields = [one for one in message.fields if one.count == 1 and one.datatype in _DATATYPES]

@@ -120,7 +120,8 @@ def _collect(tables: Tables, left_out: dict[str, str], where: str, name: str, va
 def _collect_hdf5(tree: hdf5.Hdf5Tree, tables: Tables, where: str, group: Any, depth: int) -> None:
     """Add numbers and texts in an HDF5 group to `tables` as columns of the struct `where`, and its groups recursively.
 
-    Objects, cell arrays, complex numbers and structs at the depth `DEEPEST` are noted in `tree.left_out`.
+    Objects, cell arrays, complex numbers and structs at the depth `DEEPEST` are noted in `tree.left_out`. Texts of
+    more than `COLUMNS` characters are dropped without a note.
     """
     for name, one in tree.members(group):
         if name.startswith("#"):  # internal data of MATLAB

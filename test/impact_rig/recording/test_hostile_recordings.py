@@ -39,10 +39,10 @@ from impact_rig.system.budget import BudgetError
 TOOL: dict[str, Any] = runpy.run_path(str(Path(__file__).parents[3] / "qualification" / "hostile.py"))
 RECORDINGS: dict[str, Callable[[Path], Path]] = TOOL["RECORDINGS"]
 REFUSED = {
-    "compression bomb, indexed 60 times": "twice, or inside another",
+    "compression bomb, indexed 60 times": "twice, or beginning inside another",
     "chunk of 2 GB": "2000000031 bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
     "7.7 million empty messages": "bytes in a chunk, more than 33554432; .* IMPACT_RIG_BUDGET=N",
-    "one chunk indexed 20,000 times": "twice, or inside another",
+    "one chunk indexed 20,000 times": "twice, or beginning inside another",
     "60,000 topics": "60000 topics, more than 5000; .* IMPACT_RIG_BUDGET=N",
     "FIFO": "not a regular file",
     "link to /dev/zero": "not a regular file",
