@@ -687,8 +687,8 @@ class Client:
             The message in the rig's answer.
 
         Raises:
-            ImpactRigError: the rig is neither in lockstep nor paused, `blocks` is out of range, or the step ended with
-                an error, perhaps after some of its blocks: a peer does not acknowledge, samples of the drive are
+            ImpactRigError: the rig is neither in lockstep nor paused, or `blocks` is out of range. The step may also
+                end with an error after some of its blocks: a peer does not acknowledge, samples of the drive are
                 missing, or the rig was reset, deactivated or resumed. The message says which.
             TimeoutError: the rig did not answer in time.
             GoneError: the rig is gone.

@@ -52,7 +52,7 @@ class ChannelCheck:
         gain: `measured` over `expected`, negative if the channel is inverted.
         gain_limit: largest allowed deviation of |gain| from 1, and of `phase_rad` from 0.
         phase_rad: phase of the reading relative to the expected sine, or to its negative if the channel is inverted
-            [rad], so within ± π/2; positive if the reading leads; 0 without a signal.
+            [rad], so within ± π/2. It is positive if the reading leads, and 0 without a signal.
         residual: rms of the part of the reading that is neither the sine nor a constant [unit].
         residual_limit: largest allowed residual [unit].
         polarity: 1 correct, −1 inverted, 0 no signal (less than a tenth of the expected one).

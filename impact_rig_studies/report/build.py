@@ -71,8 +71,8 @@ def build_report(
         rig: namespace of the rig, for a recording with several rigs.
 
     Raises:
-        ConfigError: a directory contains neither campaign nor run; `margins` has no complete results of two rigs or
-            more; or `branches` are missing, of another rig, or over a parameter that a report does not show. Also if
+        ConfigError: a directory contains neither campaign nor run, or `margins` has no complete results of two rigs or
+            more. Also if `branches` are missing, of another rig, or over a parameter that a report does not show, if
             `margins` or `branches` are given for a run or an imported campaign, or `rig` for a campaign.
         RecordingError: a campaign has no measurement yet, a run cannot be read or analysed, or a file cannot be
             written.
