@@ -196,6 +196,7 @@ class RosRig(RigDriver):
             self.client.wait_active("rig")
             if running:
                 self.config = self._running_config(required or {})
+                self._peers = [*self.config.time.peers]
             if self._run:
                 where = {"directory": str(self._run.parent), "name": self._run.name}
                 self._start("recorder", where, hosted=hosted)

@@ -212,7 +212,7 @@ class AckWindow:
         rig continues only for one more window of blocks and then waits for the peers again.
         """
         silent = self.silent()
-        for name in silent if set(silent) != set(self.peers) else ():
+        for name in silent if not set(self.peers) <= {*silent, *self.waived()} else ():
             self._readers[name].waived = True
         self.forgive(self.peers)
 

@@ -51,10 +51,10 @@ LOST = Fault(kind="lost_block", start_sample=1500, samples=250)
 class Counter(Node):
     """Node as a user writes it: no keyword arguments, a queue of ten, no acknowledgement."""
 
-    def __init__(self) -> None:
+    def __init__(self, topic: str = "daq/scan") -> None:
         super().__init__("counter")
         self.blocks: list[PointCloud2] = []
-        self.create_subscription(PointCloud2, "daq/scan", self.blocks.append, 10)
+        self.create_subscription(PointCloud2, topic, self.blocks.append, 10)
 
 
 class Answerer(Node):
@@ -228,6 +228,9 @@ def test_a_rig_in_lockstep_is_joined_at_its_present_scan(tmp_path: Path, monkeyp
             rig.run_to_sample(1100)
             assert (rig.sample, rig.lost_scans, rig.first_scan(rig.tables()[0])) == (1100, 0, 700)
             assert list(rig.newest("truth/faults", 1)["sample"]) == [1000]
+            node = rig.host(Counter, topic="/rig/daq/scan")
+            rig.step(2)
+            assert len(node.blocks) == 2, "the rig waits for this node, and for no name that does not exist"
 
 
 def test_empty_lines_of_planned_faults_are_no_faults() -> None:

@@ -136,6 +136,22 @@ def test_only_a_peer_with_unacknowledged_blocks_is_silent() -> None:
     assert (window.room(), window.heard_ns("b")) == (4, clock.now)
 
 
+def test_a_rig_never_leaves_all_its_peers_behind() -> None:
+    """If the last peer becomes silent after another one was waived, the rig goes on for one more window only."""
+    clock = FakeClock()
+    window = AckWindow(("a", "b"), 4, NS_PER_S, clock)
+    window.published(0)
+    window.acknowledge("b", 0)
+    for stamp in (1, 2):
+        clock.now += 2 * NS_PER_S
+        window.waive()
+        assert window.waived() == ("a",)
+        window.published(stamp)
+    for stamp in (3, 4, 5):
+        window.published(stamp)
+    assert window.room() == 0
+
+
 def test_a_window_without_peers_always_has_room() -> None:
     window = AckWindow((), 4, NS_PER_S, FakeClock())
     for stamp in range(100):
