@@ -89,9 +89,9 @@ def add_command(commands: Commands) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
-        help="address on which the page is served; unless it is a loopback address, other machines can open the page "
-        "by the printed URL, which contains a secret token; for 0.0.0.0, replace it there by an address of this "
-        "machine (default: %(default)s)",
+        help="address on which the page is served (default: %(default)s). Unless it is a loopback address, other "
+        "machines can open the page by the printed URL, which contains a secret token. In the URL replace 0.0.0.0 by "
+        "an address of this machine",
     )
     add_recorded_rig(
         parser,

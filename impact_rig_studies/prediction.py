@@ -497,8 +497,8 @@ def at(
     """Return all motions with two symmetric impacts per cycle at one frequency and gap.
 
     The largest amplitude of the sphere is first. The branch has the length 0 if there are no such motions. As in
-    `branch`, those with Θ above `BEYOND` · `THETA_SYMMETRIC`, which are unstable, are left out. The arguments other
-    than the gap are those of `branch`.
+    `branch`, those with Θ (amplitude of the sphere over half the gap) above `BEYOND` · `THETA_SYMMETRIC`, which are
+    unstable, are left out. Exactly one of `current_a`, `base_m` and `superior_m` must be given.
 
     Raises:
         ConfigError: as for `branch`.

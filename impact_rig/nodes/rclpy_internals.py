@@ -165,7 +165,8 @@ async def _watch(reference: weakref.ref[Any]) -> None:
 def _taken(entity: Any) -> Callable[[], Any] | None:
     """Take the next item that a subscription, service or client holds; return a function that processes it.
 
-    None if there is no item, or if the entity is already destroyed.
+    It calls the callback, or for a client sets the result of the request's future. What it returns must be awaited if
+    it is awaitable, as always for a service. None if there is no item, or if the entity is already destroyed.
     """
     handle = entity.handle
     try:

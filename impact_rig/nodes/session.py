@@ -320,7 +320,7 @@ class Session:
     def is_starving(self) -> bool:
         """Return whether the rig has waited for samples of its drive longer than `time.peer_timeout_s` of wall time.
 
-        A rig in real time never waits for samples.
+        A rig in real time waits for samples only in the steps of a pause.
         """
         patience_s = self.node.settings.time.peer_timeout_s
         return self._starved_at is not None and time.monotonic() - self._starved_at > patience_s

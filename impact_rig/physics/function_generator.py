@@ -133,8 +133,8 @@ class FunctionGenerator:
         if drive.waveform == "random":
             if drive.random_high_hz >= 0.45 / self._tick_s:
                 raise ConfigError(
-                    f"drive.random_high_hz must be < {0.45 / self._tick_s:g} Hz, because the noise has one value per "
-                    f"{self._tick_s:g} s, got {drive.random_high_hz:g} Hz"
+                    f"drive.random_high_hz must be < {0.45 / self._tick_s:g} Hz, because the noise always has "
+                    f"one value per {self._tick_s:g} s, got {drive.random_high_hz:g} Hz"
                 )
             self._noise = BandNoise(band_pass(drive.random_low_hz, drive.random_high_hz, self._tick_s), random)
 

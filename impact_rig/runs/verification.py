@@ -569,9 +569,10 @@ class _Recorded:
         self._messages.close()
 
     def compared(self, present: bool) -> Compared:
-        """Return the result of comparing this topic; messages that are left are counted as left out.
+        """Return the result of comparing this topic.
 
-        `present` states whether the topic was recorded.
+        Recorded messages that have not been compared, as they belong to times without a recorded scan, count as left
+        out. `present` states whether the topic was recorded; if not, the result only says that.
         """
         while self.coming is not None:
             self._outside += 1

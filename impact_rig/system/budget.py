@@ -123,7 +123,7 @@ class ReadBudget:
 
         Raises:
             BudgetError: the chunk has more than 32 MiB, or all chunks so far have more than 64 MiB plus 250 times the
-                size of the files. The environment variable raises both limits.
+                size of the files. The environment variable `IMPACT_RIG_BUDGET` multiplies both limits.
         """
         allow("bytes in a chunk", size, CHUNK_BYTES)
         self._decompressed += size

@@ -198,8 +198,8 @@ def add_import(commands: Commands) -> None:
         "--calibration",
         type=Path,
         metavar="FILE",
-        help="table of the instruments' calibration: columns of daq/info, one row per channel (default: properties "
-        "estimated from the data where possible, and else instruments without errors)",
+        help="table of the instruments' calibration: columns of daq/info, one row per channel (default: resolution "
+        "and skew estimated from the data; no noise, errors or delay, and unlimited range)",
     )
     parser.add_argument(
         "--note", action="append", default=[], metavar="TEXT", help="remark for each run (default: none); repeatable"
@@ -471,7 +471,7 @@ def _add_hold(tests: Commands) -> None:
         default=current.default,
         metavar="A",
         help="peak amplitude of the drive with which the control starts: a current, or by drive.kind a displacement "
-        "in m or a voltage in V (default: %(default)s)",
+        "in m or a voltage in V (default: %(default)s, meant for a current)",
     )
     _add_sine_options(parser, "hold")
 
