@@ -129,7 +129,7 @@ SERVICES = (
         SET_BOOL,
         "rig",
         "true: pause rig time; answered when the peers have processed all published blocks, or when one of them is "
-        "silent. false: continue, without waiting for the blocks that a silent peer missed; if there are other peers, "
+        "silent. false: continue, without waiting for the blocks that a silent peer missed; if other peers are left, "
         "without waiting for that peer at all until it acknowledges again.",
         _ACTIVE,
     ),

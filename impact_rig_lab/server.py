@@ -416,10 +416,7 @@ class Server:
             listener.setblocking(False)
             address, self.port = listener.getsockname()[:2]
             self._is_local = ipaddress.ip_address(address).is_loopback  # under any name
-        except (
-            OSError,
-            ValueError,
-        ) as error:  # ValueError: an empty or too long part, or a null character
+        except (OSError, ValueError) as error:  # ValueError: a part is empty or too long, or a null character
             self._failure = error
             await runner.cleanup()
             return

@@ -265,7 +265,7 @@ class _ModelledScans:
         self.stamps = np.concatenate(
             [table.stamp_ns + np.arange(len(table.rows)) * NS_PER_S // self.rate_hz for table in tables]
         )
-        if any(after.stamp_ns < before.stamp_ns for before, after in itertools.pairwise(tables)):
+        if any(after.stamp_ns <= before.stamp_ns for before, after in itertools.pairwise(tables)):
             raise RecordingError(
                 f"{run.path}: the stamps of its scans go back, as after a restart of the rig; only a run without a "
                 "restart can be compared: record one"

@@ -197,6 +197,7 @@ class RosRig(RigDriver):
             if running:
                 self.config = self._running_config(required or {})
                 self._peers = [*self.config.time.peers]
+            self._joined, self._given_peers = running, [*self._peers]
             if self._run:
                 where = {"directory": str(self._run.parent), "name": self._run.name}
                 self._start("recorder", where, hosted=hosted)
@@ -702,12 +703,12 @@ class RosRig(RigDriver):
             client.trigger(f"{self._recorder}/start")
             self._run = run
         self.config, self.sample = from_flat(self.config, values), 0
+        self._injected.clear()
         if config.drive.waveform == "stream":
             if self._stream is None:
                 self._connect_stream()
             else:
                 client.wait_until(self._stream.last, topics.STREAM.name)
-        self._injected.clear()
         self._sent_to = 0
         self._kept_from = self._lost_before = self._journal_read = 0
         self._stopped = ""
@@ -759,9 +760,14 @@ class RosRig(RigDriver):
     def close(self) -> None:
         """End all node processes and nodes that this object started, which finishes its recording.
 
-        A temporary `directory` is removed with its logs and recording. A rig that another program started goes on.
+        A temporary `directory` is removed with its logs and recording. A rig that another program started goes on,
+        and waits for the peers again that it had when this object joined it.
         """
         super().close()
+        if self._peers != self._given_peers and self._joined:
+            self._peers = self._given_peers
+            with contextlib.suppress(ImpactRigError, TimeoutError):  # the rig may be gone
+                self.client.set_parameters("rig", {"time.peers": self._peers})
         self._stack.close()
 
     def _command(self, frequency_hz: float | None, current_a: float | None) -> int:

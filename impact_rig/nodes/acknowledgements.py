@@ -208,11 +208,11 @@ class AckWindow:
     def waive(self) -> None:
         """Let the rig continue without its silent peers; it waits for each of them again once that peer acknowledges.
 
-        All blocks published so far count as acknowledged by all peers. If every peer is in `silent` at this call, the
-        rig continues only for one more window of blocks and then waits for the peers again.
+        All blocks published so far count as acknowledged by all peers. If no peer is left that is neither silent
+        nor waived, the rig continues only for one more window of blocks, and then waits for the silent ones again.
         """
         silent = self.silent()
-        for name in silent if not set(self.peers) <= {*silent, *self.waived()} else ():
+        for name in silent if set(silent) != set(self.peers) - set(self.waived()) else ():
             self._readers[name].waived = True
         self.forgive(self.peers)
 

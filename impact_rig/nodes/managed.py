@@ -827,7 +827,7 @@ class LateService:
         def send(response: Any) -> None:
             nonlocal is_answered
             if not is_answered:  # a handler may raise, which is answered, too, after it has answered or promised to
+                self._send(response, header)  # of an error, the answer may still be sent
                 is_answered = True
-                self._send(response, header)
 
         self._on_request(self._request, sent_ns, send)

@@ -670,7 +670,7 @@ class Session:
     def resume(self, done: Done) -> None:
         """Let rig time continue after a pause, or while it waits for a silent peer or for samples; then call `done`.
 
-        The rig does not wait for peers that are silent now until they acknowledge again. If all peers are silent, it
+        The rig does not wait for peers that are silent now until they acknowledge again. If no other peer is left, it
         waits for them again after one more window of blocks. If the controller is silent, its stream ends after the
         samples that have arrived. Waiting requests to pause are answered with an error, and so are those for steps
         unless the time mode is `lockstep`. Without a pause, a silent peer or missing samples, only `done` is called,

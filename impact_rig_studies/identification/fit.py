@@ -490,7 +490,7 @@ class _Profile:
                 try:
                     motion = SettledRig(self._place(gap, theta + factor * SCALE, 0.0, self._nominal)).motion
                     off += min(abs(motion.log_ratio - math.log(ratio)) / U_FACTOR, 10.0) ** 2
-                except SimulationError:
+                except (SimulationError, ConfigError):  # a factor may also bring a constant out of its range
                     off += 100.0
             misfits.append(off)
         padded = np.concatenate([[np.inf], misfits, [np.inf]])

@@ -61,8 +61,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def test_a_run_over_a_restart_is_rejected(tmp_path: Path) -> None:
     """Its stamps occur twice, so scans and labels cannot be assigned to each other by time."""
-    twice = [message for _ in range(2) for message in scanned(measured_rig(14, **{"sphere.present": False}))]
-    record(tmp_path / "run", twice)
+    first, second = (scanned(measured_rig(seconds, **{"sphere.present": False})) for seconds in (0.1, 14))
+    record(tmp_path / "run", [*first, *second])
     with (
         open_run(tmp_path / "run") as run,
         pytest.raises(RecordingError, match="the stamps of its scans go back, as after a restart"),

@@ -231,6 +231,9 @@ def test_a_rig_in_lockstep_is_joined_at_its_present_scan(tmp_path: Path, monkeyp
             node = rig.host(Counter, topic="/rig/daq/scan")
             rig.step(2)
             assert len(node.blocks) == 2, "the rig waits for this node, and for no name that does not exist"
+        with Client(domain_id, "/rig", processes, "operator") as operator:
+            operator.wait_active("rig")
+            operator.trigger("rig/step")  # the node that has ended is no peer
 
 
 def test_empty_lines_of_planned_faults_are_no_faults() -> None:
