@@ -288,7 +288,6 @@ def test_the_example_of_the_package_runs():
     assert doctest.testmod(impact_rig).failed == 0
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("block", [block for block in OURS if block.language == "yaml"], ids=by_place)
 def test_yaml_blocks_are_accepted(block, tmp_path):
     file = tmp_path / "mine.yaml"

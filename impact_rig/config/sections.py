@@ -255,7 +255,11 @@ class Time:
         "realtime, it waits before scan 0 until they have subscribed.",
     )
     ack_window: int = integer(
-        16, "blocks", "Blocks by which a free-running rig may be ahead of the slowest peer.", at_least=1, at_most=1000
+        16,
+        "blocks",
+        "Blocks by which a rig may be ahead of its slowest peer, free-running or within a step.",
+        at_least=1,
+        at_most=1000,
     )
     peer_timeout_s: float = quantity(
         3.0, "s", "Time without acknowledgement after which a peer counts as silent and rig time stops.", above=0

@@ -326,6 +326,7 @@ class Acquisition:
             TimeoutError: no scan arrived within `timeout_s`, also if the rig lacked samples of the output.
             CommandError: the shaker was stopped, so the rig did not advance.
         """
+        # first: scans that arrived before this call count against the buffer
         if self.available < count and not self._started:
             self.start(self.next_scan)
         deadline, before = time.monotonic() + timeout_s, self._end

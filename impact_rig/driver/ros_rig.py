@@ -197,7 +197,7 @@ class RosRig(RigDriver):
             if running:
                 self.config = self._running_config(required or {})
                 self._peers = [*self.config.time.peers]
-            self._joined, self._given_peers = running, [*self._peers]
+            self._joined = running
             if self._run:
                 where = {"directory": str(self._run.parent), "name": self._run.name}
                 self._start("recorder", where, hosted=hosted)
@@ -533,7 +533,7 @@ class RosRig(RigDriver):
         planned = [*self.config.instruments.faults.planned, line]
         self.configure({"instruments.faults.planned": planned})
         self._injected.append((line, fault))
-        return sum(bool(one.split()) for one in planned)  # no fault on an empty line
+        return len(super().faults)
 
     @property
     def faults(self) -> list[Fault]:
@@ -764,8 +764,9 @@ class RosRig(RigDriver):
         and waits for the peers again that it had when this object joined it.
         """
         super().close()
-        if self._peers != self._given_peers and self._joined:
-            self._peers = self._given_peers
+        kept = [peer for peer in self._peers if peer in self._own[0]]
+        if self._joined and kept != self._peers:
+            self._peers = kept
             with contextlib.suppress(ImpactRigError, TimeoutError):  # the rig may be gone
                 self.client.set_parameters("rig", {"time.peers": self._peers})
         self._stack.close()

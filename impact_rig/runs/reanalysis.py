@@ -558,7 +558,7 @@ def _comparable(row: _Row, own: Sequence[_Blind], other: Sequence[_Blind], other
     """Return whether the row of one analysis can be compared with the other analysis.
 
     The other analysis must have received all scans of the row. If the row does not begin at a change (command, label
-    or reset), but where its own analysis began to receive scans, the other one must have begun to measure or to receive
+    or reset), but where its own analysis began to receive scans, the other one must start to measure or to receive
     scans there, too. A row with the status of lost blocks is never compared.
 
     Args:

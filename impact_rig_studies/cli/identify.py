@@ -65,10 +65,6 @@ def run_identify(arguments: argparse.Namespace) -> int:
     console = Console(quiet=arguments.json)
     _check_combination(arguments)
     if arguments.paper:
-        if arguments.directory is not None:
-            raise ConfigError(
-                f"--paper fits the paper's reductions of DT and takes no directory: omit {arguments.directory}"
-            )
         base = load_config(arguments.config) if arguments.config else RigConfig()
         fits = []
         for free in (("f_n", "ζ"), ("f_n", "ζ", "I")):
@@ -77,10 +73,6 @@ def run_identify(arguments: argparse.Namespace) -> int:
         if arguments.json:
             tell_json([_paper_content(fit) for fit in fits])
         return 0
-    if arguments.directory is None:
-        raise ConfigError(
-            "the directory of a campaign is needed, e.g. runs/campaign_paper, or --paper to fit the paper's reductions"
-        )
     if not 0.0 <= arguments.e_uncertainty <= 1.0:
         raise ConfigError(f"--e-uncertainty must be >= 0 and <= 1, got {arguments.e_uncertainty!r}")
     done = run.open_finished(arguments.directory)
@@ -110,13 +102,21 @@ def run_identify(arguments: argparse.Namespace) -> int:
 
 
 def _check_combination(arguments: argparse.Namespace) -> None:
-    """Check that no option of one fit (campaign or `--paper`) is given for the other, nor `--rig` without `--decay`.
+    """Check that either a campaign or `--paper` is given, no option of the other fit, and no `--rig` without `--decay`.
 
     Other options without effect are accepted, such as `--decrement` with `--without decay`.
 
     Raises:
-        ConfigError: there is such an option; the message names it.
+        ConfigError: neither or both are given, or there is such an option; the message names it.
     """
+    if arguments.paper and arguments.directory is not None:
+        raise ConfigError(
+            f"--paper fits the paper's reductions of DT and takes no directory: omit {arguments.directory}"
+        )
+    if not arguments.paper and arguments.directory is None:
+        raise ConfigError(
+            "the directory of a campaign is needed, e.g. runs/campaign_paper, or --paper to fit the paper's reductions"
+        )
     of_campaign = {
         "--decay": arguments.decay,
         "--rig": arguments.rig,

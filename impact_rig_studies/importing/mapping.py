@@ -29,6 +29,7 @@ import attrs
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.blocks import DAQ_INFO_COLUMNS
 from impact_rig.errors import ConfigError, did_you_mean
+from impact_rig.names import TOO_LARGE
 from impact_rig.system import budget
 from impact_rig_studies.importing.units import Sensitivity, quantity, unit_factor
 
@@ -252,4 +253,4 @@ def _text(value: object) -> str:
     try:
         return str(value)
     except ValueError:  # Python does not print the longest integers
-        return "a number too large to represent"
+        return TOO_LARGE

@@ -70,7 +70,6 @@ def test_a_law_states_formula_and_source_and_has_only_fields_of_its_section(law)
     assert {attribute.name for attribute in attrs.fields(law)} <= names, "a law's fields are those of the section"
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("e", RESTITUTIONS)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_contact_has_the_restitution_that_its_law_predicts(law, e):
@@ -198,7 +197,6 @@ def test_an_instantaneous_contact_takes_no_time_and_conserves_momentum():
     assert got.energy_lost == pytest.approx(0.5 * mass * 0.25 * (1.0 - 0.35**2), rel=1e-14)
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("e", [0.05, 0.35, 0.95])
 @pytest.mark.parametrize("law", [law for law in LAWS if law != "restitution"])
 def test_contact_forces_never_pull_and_integrate_to_impulse_and_loss(law, e):
