@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from impact_rig import codec, topics
 from impact_rig.blocks import Table
+from impact_rig.config.sections import DRIVE_UNITS
 from impact_rig.errors import ImpactRigError, RecordingError
 from impact_rig.recording import Message, Run, open_run
 from impact_rig.runs import recorded_journal, recover
@@ -45,7 +46,7 @@ from impact_rig.states import MEASURED
 from impact_rig_lab.protocol import Request
 from impact_rig_lab.record import MOST_ROWS, RigView, came_before, guard, plain, scan_rate, start_ns
 from impact_rig_lab.scope import LONGEST_S, Scope
-from impact_rig_lab.state import KNOBS, UNITS, Answer, Source
+from impact_rig_lab.state import KNOBS, Answer, Source
 from impact_rig_lab.theory import KIND, closed_form
 
 DRAWN = (topics.STREAM, topics.WAVEFORM, topics.SCAN, topics.JOINT_STATES, topics.IMPACTS_TRUTH, topics.IMPACTS)
@@ -578,7 +579,7 @@ class PlaybackSource(Source):
         elif run.record.stream is not None and run.record.stream["playing"]:
             found = "driven by a stream of samples"
         elif then.applied["current"]:
-            unit = UNITS.get(then.values[KIND], "")
+            unit = DRIVE_UNITS.get(then.values[KIND], "")
             found = f"driven at {then.applied['frequency']:g} Hz, {then.applied['current']:g} {unit}"
         else:
             found = "at rest"

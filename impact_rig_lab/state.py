@@ -32,6 +32,7 @@ from typing import Any, Self, TypeVar  # Any: values for JSON
 import attrs
 
 from impact_rig import states
+from impact_rig.config.sections import DRIVE_UNITS
 from impact_rig.instruments.instrument import BOARD_KINDS, FAULT_KINDS
 from impact_rig.instruments.registry import INSTRUMENTS
 from impact_rig.instruments.section import CHANNELS
@@ -65,7 +66,6 @@ KNOBS = (
     "structure.natural_frequency_hz", "structure.damping_ratio", "time.mode", "time.factor", "drive.kind", PLANNED,
 )  # fmt: skip
 """Parameters of the rig that the page shows."""
-UNITS = {"current": "A", "prescribed": "m", "voltage": "V"}  # unit of the drive's amplitude by `drive.kind`
 Answer = Callable[[bool, str], None]
 """Function that reports the result of a request to the page: whether it succeeded, and a text.
 
@@ -247,7 +247,7 @@ def choices() -> dict[str, Any]:
         "start": list(about["sphere.start"].choices),
         "faults": {kind: _fault_form(kind) for kind in FAULT_KINDS},
         "channels": list(CHANNELS),
-        "units": UNITS,
+        "units": dict(DRIVE_UNITS),
     }
 
 

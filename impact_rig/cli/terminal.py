@@ -115,8 +115,11 @@ class TextTable(rich_table.Table):
     ) -> rich_console.RenderResult:
         """Draw the table: on a narrow terminal it stays as wide as its numbers and words of up to 12 letters need."""
         for column in self.columns:
-            words = (word for cell in column.cells for word in str(cell).split())
-            longest = min(LONGEST_WORD, max(map(len, words), default=0))
+            if column.no_wrap:  # Rich would cut off the end of a cell that is wider than its column
+                longest = max((len(str(cell)) for cell in column.cells), default=0)
+            else:
+                words = (word for cell in column.cells for word in str(cell).split())
+                longest = min(LONGEST_WORD, max(map(len, words), default=0))
             column.min_width = max(column.min_width or 0, longest)
         least = self.__rich_measure__(console, options.update_width(LARGEST_WIDTH)).minimum
         return super().__rich_console__(console, options.update_width(max(options.max_width, least)))

@@ -23,6 +23,8 @@ holds for any configuration within them, which `qualification/legal_configuratio
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import attrs
 
 from impact_rig.config.fields import Origin, choice, integer, names, quantity, switch, text
@@ -116,13 +118,17 @@ class Shaker:
     )
 
 
+DRIVE_UNITS: Mapping[str, str] = {"current": "A", "prescribed": "m", "voltage": "V"}
+"""Unit of the drive's amplitude by `drive.kind`."""
+
+
 @attrs.frozen(kw_only=True)
 class Drive:
     """Drive of the inferior base: coil current, base motion or voltage; its waveform, and the command at the start."""
 
     kind: str = choice(
         "current",
-        ("current", "prescribed", "voltage"),
+        tuple(DRIVE_UNITS),
         "Quantity that a command sets: coil current, base motion (prescribed, paper's Eq. 3) or coil voltage.",
     )
     waveform: str = choice("sine", ("sine", "chirp", "random", "stream"), "Shape of the drive signal.")

@@ -167,9 +167,16 @@ class Motion:
             The coefficients, constant first, shape (names, n, NODES).
 
         Raises:
-            ValueError: a tick is not one of this motion's, no quantity has such a name, or there are more names
-                than `QUANTITIES`. Times beyond the tick are not detected.
+            ValueError: a tick is not one of this motion's, the shapes differ, no quantity has such a name, or there
+                are more names than `QUANTITIES`. Times beyond the tick are not detected.
         """
+        tick = np.ascontiguousarray(tick, np.int64)
+        start_s, end_s = (np.ascontiguousarray(times, np.float64) for times in (start_s, end_s))
+        if tick.ndim != 1 or not tick.shape == start_s.shape == end_s.shape:
+            raise ValueError(
+                "tick, start and end must have one shape (n,), got "
+                f"{tick.shape}, {start_s.shape} and {end_s.shape}"
+            )
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)
         raise_failure()

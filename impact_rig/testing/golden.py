@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,9 +74,11 @@ class Golden:
         """
         where = self.directory / "run"
         if self._update:
-            shutil.rmtree(where, ignore_errors=True)
             where.parent.mkdir(parents=True, exist_ok=True)
-            rig.save(where)
+            with tempfile.TemporaryDirectory(dir=where.parent) as new:  # a run that cannot be saved replaces nothing
+                rig.save(Path(new) / "run")
+                shutil.rmtree(where, ignore_errors=True)
+                (Path(new) / "run").rename(where)
             return
         if not where.exists():
             raise AssertionError(self._absent(where))

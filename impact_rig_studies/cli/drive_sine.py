@@ -29,6 +29,7 @@ from impact_rig.analysis.uncertainty_budget import plus_minus, rounded
 from impact_rig.cli.quantities import positive
 from impact_rig.cli.rig_options import rig_of, run_directory
 from impact_rig.cli.terminal import Console, TextTable, figure, tell_results
+from impact_rig.config.sections import DRIVE_UNITS
 from impact_rig.driver import LocalRig, RigDriver
 from impact_rig.errors import ConfigError
 from impact_rig.rig.config import RigConfig, differences
@@ -109,7 +110,8 @@ def run_sweep(arguments: argparse.Namespace) -> int:
     The code is 1 if the sweep ended early or a frequency has no measurement, settled or not; else 0.
     """
     job = _job(arguments)
-    return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} A")
+    unit = DRIVE_UNITS[job.config().drive.kind]
+    return _measure_curve(arguments, job, SteppedSine(job.plan()), f"Sweep at {job.current_a:g} {unit}")
 
 
 def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, title: str) -> int:
@@ -139,9 +141,9 @@ def _measure_curve(arguments: argparse.Namespace, job: Job, sweep: SteppedSine, 
             "base [µm]",
             "superior [mm]",
             "current [A]",
-            *(["error [%]", ""] if held else []),
+            *(["error [%]"] if held else []),
         ),
-        last=("regime",),
+        last=(*([""] if held else []), "regime"),
     )
     for row in rows:
         error = [figure(100 * row["error"], "+.2f"), "" if row["held"] else "NOT HELD"] if held else []
@@ -228,13 +230,15 @@ def run_backbone(arguments: argparse.Namespace) -> int:
         content = {"points": [attrs.asdict(one) for one in points], "ended_early": why}
         names = [field.name for field in attrs.fields(AmplitudePoint)]
         _write(directory, arguments.test, names, map(attrs.astuple, points), content)
-    headings = ("", "I [A]", "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]", "")
-    table = TextTable("Backbone", right=headings)
+    kind = config.drive.kind
+    commanded, digits = ("I [A]", ".4f") if kind == "current" else (f"drive [{DRIVE_UNITS[kind]}]", ".4g")
+    headings = ("", commanded, "f [Hz]", "± 2u", "DT", "± 2u", "superior [mm]", "g/X", "phase [°]")
+    table = TextTable("Backbone", right=headings, last=("",))
     for one in points:
         words = [*(["not locked"] if not one.locked else []), *(["JUMP"] if one.jumped else [])]
         table.add_row(
             one.direction,
-            f"{one.current_a:.4f}",
+            figure(one.current_a, digits),
             *rounded(one.frequency_hz, one.u_frequency_hz),
             *rounded(one.dt, one.u_dt),
             figure(one.superior_m * 1e3, ".3f"),

@@ -460,10 +460,12 @@ def _starts(kind: str, given: Mapping[str, object]) -> list[Start]:
     They are words of `sphere.start` (such as left), or pairs of position [m] and speed [m/s], see `MapRig.reset`.
 
     Raises:
-        ConfigError: a start is neither such a word nor a pair of numbers within ±100.
+        ConfigError: the list is empty, or a start is neither such a word nor a pair of numbers within ±100.
     """
     found: list[Start] = []
     listed = given.get("starts", ["left"])
+    if listed == []:
+        raise axes.wrong(f"{kind}.starts", "at least one start", listed)
     for i, one in enumerate(listed if isinstance(listed, list) else [listed]):
         if isinstance(one, list) and len(one) == 2:
             place, speed = (axes.number(f"{kind}.starts[{i}]", value, -100.0, 100.0) for value in one)

@@ -945,6 +945,7 @@ def test_a_map_lists_the_exponent_next_to_the_regime_on_request(tmp_path, capsys
     [
         ("section", "title: x", "the file has no section named section"),
         ("section", "section: {cycles: 0}", "section.cycles must be an integer >= 1"),
+        ("section", "section: {starts: []}", r"section.starts must be at least one start, got \[\]"),
         ("section", "section: {starts: [above]}", r"section.starts\[0\] must be one of left, centre, right"),
         ("orbit", "orbit: {speed: 1}", "unknown key 'speed' in orbit"),
         ("continue", "continue: {over: sphere.start, from: 1, to: 2, at: 1}", "or a number of the configuration"),

@@ -90,6 +90,16 @@ def test_a_column_without_a_heading_keeps_its_text_in_one_piece(width: int) -> N
     assert all(word in console.file.getvalue() for word in ("differs", "+254214.2"))
 
 
+@pytest.mark.parametrize("width", [80, 38])
+def test_a_right_aligned_text_keeps_all_its_words(width: int) -> None:
+    console = Console()
+    console.file, console.width = io.StringIO(), width
+    table = TextTable(right=("f [Hz]", "DT", "± 2u", "superior [mm]", "phase [°]", ""))
+    table.add_row("9.10521", "105.76", "0.95", "10.562", "-89.91", "not locked, JUMP")
+    console.print(table)
+    assert "not locked, JUMP" in console.file.getvalue()
+
+
 def test_text_in_a_progress_display_is_printed_unchanged() -> None:
     console = Console()
     console.file = io.StringIO()

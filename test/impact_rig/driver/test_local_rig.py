@@ -243,6 +243,21 @@ def test_the_comparison_with_a_golden_run_names_the_first_difference(tmp_path: P
     assert first_difference(other.tables()[:-1], other.tables(), {}) == "29 tables, golden 30"
 
 
+def _full_disk(*_: object) -> None:
+    raise RecordingError("no space left")
+
+
+def test_a_golden_run_is_kept_if_the_new_one_cannot_be_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = LocalRig({"drive.amplitude": 0.52})
+    rig.run(0.1)
+    Golden(tmp_path / "test_x", update=True).run(rig)
+    kept = {file.name: file.read_bytes() for file in (tmp_path / "test_x/run").iterdir()}
+    monkeypatch.setattr(LocalRig, "_new_recording", _full_disk)
+    with pytest.raises(RecordingError, match="no space left"):
+        Golden(tmp_path / "test_x", update=True).run(rig)
+    assert {file.name: file.read_bytes() for file in (tmp_path / "test_x/run").iterdir()} == kept
+
+
 def test_the_comparison_with_golden_values_names_all_differences(tmp_path: Path) -> None:
     Golden(tmp_path, update=True).values({"dt": 76.3, "impacts": 2.0})
     golden = Golden(tmp_path, update=False)

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from kits.mechanics import TWO_PI, at_rest, gauss, rig, sine, sphere_kg, stiffness
 
+from impact_rig.arithmetic.interpolation import NODES
 from impact_rig.physics import Motion, Simulation
 from impact_rig.physics.event_loop import ROWS_PER_PHASE, new_workspace
 from impact_rig.physics.state import CONTACT
@@ -184,6 +185,16 @@ def test_more_names_than_quantities_are_rejected():
         motion.quantities(("x_1",) * 13, tick, zero)
     with wrong:
         motion.polynomials(("x_1",) * 13, tick, zero, zero + TICK_S)
+
+
+def test_times_of_another_number_of_pieces_are_rejected():
+    """The compiled loop reads one start and one end for each tick: fewer would be read beyond their memory."""
+    motion = Simulation(rig()).advance(sine(9.1, 1.0, TICK_S, 5))
+    tick, zero = np.array([1, 2]), np.zeros(2)
+    assert motion.polynomials(("x_1",), tick, zero, zero + TICK_S).shape == (1, 2, NODES)
+    for start, end in ((zero[:1], zero + TICK_S), (zero, zero[:1] + TICK_S), (zero.reshape(1, 2), zero + TICK_S)):
+        with pytest.raises(ValueError, match=r"one shape \(n,\)"):
+            motion.polynomials(("x_1",), tick, start, end)
 
 
 def test_motions_of_one_simulation_are_independent():
