@@ -278,6 +278,7 @@ class Acquisition:
         """
         with self._rig.turns:
             _refresh(self._rig)
+            self._count_withheld()
             return 0 if self.next_scan is None else max(0, self._end - self.next_scan)
 
     def start(self, scan: int | None = None) -> None:
@@ -357,6 +358,17 @@ class Acquisition:
             oldest, overwritten = self._kept.popleft()
             self.lost += min(len(overwritten), oldest + len(overwritten) - self.next_scan)
             self.next_scan = self._kept[0][0]
+
+    def _count_withheld(self) -> None:
+        """Count scans as lost that a fault withholds, if the rig advances only by `step`.
+
+        Another rig shows the gap with its next block. This one may wait for samples that the program only writes after
+        it has read the scans of the last ones.
+        """
+        taken = self._rig.sample
+        if self._started and not self._rig.runs_by_itself and self.next_scan is not None and taken > self._end:
+            self.lost += taken - self._end
+            self._end = taken
 
     def _cut(self, count: int) -> NDArray[np.void]:
         with self._rig.turns:

@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 from impact_rig.analysis.calibration import Calibration, Complex, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import ConfigError
-from impact_rig_studies.excitation.response import Response
+from impact_rig_studies.excitation.response import Response, complete
 from impact_rig_studies.excitation.signals import PSEUDO, Excitation
 
 LEAST_GAIN = 0.2  # gain below which a correction is given up
@@ -165,8 +165,8 @@ def replicate(
         Then the best drive is repeated: the last result differs from the one before only in `repeated`.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
-            `hardware`. After an error, call `hardware.output.stop()`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
+            exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
         ConfigError: `low_hz` and `high_hz` of the plan leave no band below half of the rate.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
@@ -188,7 +188,8 @@ def replicate(
     fade = _fade(played, lead)
 
     def respond(burst: Real, drive: Real) -> Real:
-        read = hardware.respond(np.concatenate([burst, drive[:played]]))
+        samples = np.concatenate([burst, drive[:played]])
+        read = complete(hardware.respond(samples), len(samples))
         found = plan.response.of(read, calibration, top_hz)[len(burst) :]
         return np.asarray(found - found[lead // 4 : max(1, lead // 2)].mean())
 
@@ -338,7 +339,8 @@ def _identify(
         high_hz=high_hz,
     )
     drive = excitation.samples(rate_hz)
-    read = hardware.respond(drive, round(plan.rest_s * rate_hz))
+    rest = round(plan.rest_s * rate_hz)
+    read = complete(hardware.respond(drive, rest), len(drive) + rest)
     frequency: Real = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), np.float64)
     rise = np.clip((frequency - low_hz) / max(0.5 * plan.low_hz, 1e-9), 0.0, 1.0)
     fall = np.clip((high_hz - frequency) / (0.25 * plan.high_hz), 0.0, 1.0)
@@ -408,8 +410,8 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
         After an error, or if you do not iterate to the end, call `hardware.output.stop()`.
 
     Raises:
-        CommandError: the shaker trips or rejects a sample, samples arrive too late, or a reading exceeds `abort` of
-            `hardware`.
+        CommandError: the shaker trips or rejects a sample, samples arrive too late, scans are lost, or a reading
+            exceeds `abort` of `hardware`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
@@ -419,7 +421,8 @@ def play(hardware: Hardware, samples: Real, limit: float | None = None) -> Itera
     exchange = Exchange(hardware, step)
     coming, rows = np.concatenate([asked, np.zeros(exchange.lag)]), np.empty(0, np.void)
     for at in range(0, len(coming), step):
-        part = exchange.exchange(coming[at : at + step])[1]
+        block = coming[at : at + step]
+        part = complete(exchange.exchange(block)[1], len(block))
         rows = rows if len(rows) else np.empty(len(coming), part.dtype)
         rows[at : at + step] = part
         done = min(at + step, len(coming)) - exchange.lag

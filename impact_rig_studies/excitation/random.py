@@ -30,7 +30,7 @@ import scipy
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Exchange, Hardware
 from impact_rig.errors import CommandError
-from impact_rig_studies.excitation.response import Response
+from impact_rig_studies.excitation.response import Response, complete
 
 MOST_STEP_DB = 6.0  # largest change of the drive's density at a line in one loop
 # lower limit of the drive's density at a line relative to the largest, so that no line is lost for good
@@ -174,8 +174,8 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         `hardware.output.stop()`.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, a reading exceeds `abort` of
-            `hardware`, or the response exceeds the request by more than `abort_db`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, a reading exceeds
+            `abort` of `hardware`, or the response exceeds the request by more than `abort_db`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.stream_rate_hz
@@ -196,6 +196,7 @@ def control(hardware: Hardware, plan: RandomPlan) -> Iterator[Reached]:
         drive_rms = float(np.sqrt(np.sum(density) * rate_hz / length))
         clipped += int(np.count_nonzero(np.abs(samples) > plan.crest * drive_rms))
         played, rows = exchange.exchange(np.clip(samples, -plan.crest * drive_rms, plan.crest * drive_rms))
+        complete(rows, len(played))
         settled = slice(4 * (length // 2), None)  # the earlier response has decayed
         y, x = rows[plan.response.channel].astype(float)[settled], played[settled]
         options = {"fs": rate_hz, "nperseg": length, "noverlap": length // 2}

@@ -37,6 +37,7 @@ from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.analysis.frf import Frf, frf
 from impact_rig.analysis.scans import CHANNELS
 from impact_rig.driver.hardware import Exchange, Hardware
+from impact_rig.errors import CommandError
 from impact_rig_studies.excitation.signals import Excitation
 
 
@@ -159,6 +160,20 @@ def motion(values: Real, calibration: Calibration, channel: int, top_hz: float) 
     return found
 
 
+def complete(scans: NDArray[np.void], count: int) -> NDArray[np.void]:
+    """Return the scans of a test unchanged, after a check that none of the `count` expected ones was lost.
+
+    Raises:
+        CommandError: scans were lost, so that the rest no longer belongs to the samples that were played.
+    """
+    if len(scans) < count:
+        raise CommandError(
+            f"{count - len(scans)} of {count} scans were lost, but this test needs every scan: repeat it with less "
+            "load on the machine, or remove the fault that withholds scans"
+        )
+    return scans
+
+
 def measure(hardware: Hardware, excitation: Excitation, channel: str, reference: str = "current") -> Iterator[Frf]:
     """Measure the frequency response of one channel relative to another while driving the rig with an excitation.
 
@@ -179,8 +194,8 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
     Raises:
         ConfigError: the band of the excitation is not ascending, or not below half of the sample rate.
         BudgetError: the excitation would have too many samples.
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
-            `hardware`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
+            exceeds `abort` of `hardware`.
         TimeoutError: the rig did not advance.
     """
     rate_hz = hardware.rig.rate_hz
@@ -193,7 +208,8 @@ def measure(hardware: Hardware, excitation: Excitation, channel: str, reference:
     samples = np.concatenate([samples, np.zeros(exchange.lag)])
     read = {name: np.empty(0) for name in (reference, channel)}
     for at in range(0, len(samples), length):
-        rows = exchange.exchange(samples[at : at + length])[1]
+        frame = samples[at : at + length]
+        rows = complete(exchange.exchange(frame)[1], len(frame))
         read = {name: np.concatenate([before, rows[name]]) for name, before in read.items()}
         frames = (len(read[channel]) - settling) // length
         if frames < 3:

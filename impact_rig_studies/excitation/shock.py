@@ -195,8 +195,8 @@ def shock(hardware: Hardware, pulse: Pulse, on_step: Callable[[str], object] = l
         The best result so far after each trial, and once more after a repetition of the best drive.
 
     Raises:
-        CommandError: the shaker trips or rejects the drive, samples arrive too late, or a reading exceeds `abort` of
-            `hardware`. After an error, call `hardware.output.stop()`.
+        CommandError: the shaker trips or rejects the drive, samples arrive too late, scans are lost, or a reading
+            exceeds `abort` of `hardware`. After an error, call `hardware.output.stop()`.
         BudgetError: a trial would have too many samples.
         TimeoutError: the rig did not advance.
     """

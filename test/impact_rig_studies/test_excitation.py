@@ -29,11 +29,12 @@ from impact_rig.blocks import Table
 from impact_rig.driver import Hardware, LocalRig
 from impact_rig.driver.hardware import Exchange
 from impact_rig.errors import CommandError, ConfigError, RecordingError
+from impact_rig.instruments.fault import Fault
 from impact_rig.physics.linear import constants, input_vectors, state_matrix
 from impact_rig.rig import Rig
 from impact_rig.rig.config import RigConfig, from_flat
 from impact_rig_studies.excitation.files import history, load
-from impact_rig_studies.excitation.history import Replicated, ReplicatePlan
+from impact_rig_studies.excitation.history import Replicated, ReplicatePlan, play, replicate
 from impact_rig_studies.excitation.random import RandomPlan, control
 from impact_rig_studies.excitation.response import Response, measure
 from impact_rig_studies.excitation.shock import Pulse, half_sine_spectrum, shock_response_spectrum
@@ -144,6 +145,22 @@ def test_a_reading_beyond_the_abort_limit_ends_a_test():
     rig = Hardware(hardware(sphere__present=False).rig, {"base": 1e-5})
     with pytest.raises(CommandError, match=r"aborted: base reads .*, beyond the limit ±1e-05 m, at scan"):
         list(control(rig, RandomPlan(averages=4)))
+
+
+@pytest.mark.parametrize("test", ["frf", "random", "replicate", "play"])
+def test_a_test_that_lost_scans_ends_with_that_reason(test):
+    """Scans are one to one with samples: after a gap, the rest would belong to other samples."""
+    rig = hardware(sphere__present=False)
+    rig.rig.inject(Fault(kind="lost_block", start_sample=2 * RATE_HZ, samples=RATE_HZ))
+    samples = 0.05 * np.sin(2.0 * np.pi * 9.0 * np.arange(4 * RATE_HZ) / RATE_HZ)
+    work = {
+        "frf": lambda: measure(rig, Excitation(kind=PSEUDO, frame_s=1.0, frames=4), "accelerometer"),
+        "random": lambda: control(rig, RandomPlan(frame_s=1.0, frames=4)),
+        "replicate": lambda: replicate(rig, 1e-3 * samples, ReplicatePlan(), print),
+        "play": lambda: play(rig, samples),
+    }
+    with pytest.raises(CommandError, match=r"\d+ of \d+ scans were lost, but this test needs every scan"):
+        list(work[test]())
 
 
 def test_the_shock_response_spectrum_of_a_half_sine_is_the_closed_form():

@@ -360,6 +360,16 @@ def test_no_scan_is_lost_while_a_read_waits() -> None:
     assert acquisition.available == 3 * BLOCK  # the buffer keeps its size
 
 
+def test_a_program_that_plays_by_what_it_reads_is_not_held_up_by_withheld_scans() -> None:
+    """It writes the next samples after it has read, so no further block would show that scans are missing."""
+    rig = LocalRig(STREAM, [Fault(kind="lost_block", start_sample=5 * BLOCK, samples=BLOCK)])
+    hardware = Hardware(rig)
+    exchange = Exchange(hardware, BLOCK)
+    counts = [len(exchange.exchange(np.zeros(BLOCK))[1]) for _ in range(8)]
+    assert sorted(counts) == [0] + [BLOCK] * 7
+    assert hardware.acquisition.lost == BLOCK
+
+
 def test_new_rates_of_a_stream_count_from_the_next_reset() -> None:
     rig = LocalRig({**STREAM, "drive.stream_wait": False})
     rig.configure({"drive.stream_rate_hz": 4000})
