@@ -205,10 +205,9 @@ class SteppedSineNode(ManagedNode[SteppedSineSettings]):
     # Start and stop
 
     def _on_start(self, _request: Trigger.Request, done: Done) -> None:
-        refusal = "a sweep is running already; call ~/stop first" if self._running else self._missing()
-        if not self.active:
-            refusal = f"the node is {self.state}, activate it first"
-        if refusal:
+        if not self.active:  # without its publishers, which `_missing` asks
+            raise ImpactRigError(f"the node is {self.why_not_active()}")
+        if refusal := "a sweep is running already; call ~/stop first" if self._running else self._missing():
             raise ImpactRigError(refusal)
         self._begin()
         done(True, self._announced())

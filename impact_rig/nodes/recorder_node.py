@@ -199,17 +199,21 @@ class RecorderNode(ManagedNode[RecorderSettings]):
         """Return level and message of diagnostics: a problem of the newest recording, or whether the node records.
 
         Of several problems, the first is shown: failure, several publishers of a topic, lost messages, invalid ones.
+        Lost messages are always an error, and are shown after several publishers, too.
         """
         if self.state != "active":
             return Level.WARN, self.state
         if self._failure:
             return Level.ERROR, f"{self._failure}; no block is acknowledged until ~/start or ~/stop"
-        mixed = self._mixed()
-        if mixed:
-            return Level.WARN, f"this run cannot be verified: {mixed}; end all but one, and start a new run"
+        mixed, lost = self._mixed(), ""
         if self._lost():
             held = "; no block is acknowledged until ~/stop" if self._lacks_messages() else ""
-            return Level.ERROR, f"messages were lost before they reached the recorder (values lost.TOPIC){held}"
+            lost = f"messages were lost before they reached the recorder (values lost.TOPIC){held}"
+        if mixed:
+            shown = f"this run cannot be verified: {mixed}; end all but one, and start a new run"
+            return (Level.ERROR, f"{shown}; {lost}") if lost else (Level.WARN, shown)
+        if lost:
+            return Level.ERROR, lost
         if self._writer is not None and self._refused:
             return Level.WARN, f"recording, but not the invalid messages on {', '.join(sorted(self._refused))}"
         if self._waiting:

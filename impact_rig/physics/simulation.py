@@ -174,8 +174,7 @@ class Motion:
         start_s, end_s = (np.ascontiguousarray(times, np.float64) for times in (start_s, end_s))
         if tick.ndim != 1 or not tick.shape == start_s.shape == end_s.shape:
             raise ValueError(
-                "tick, start and end must have one shape (n,), got "
-                f"{tick.shape}, {start_s.shape} and {end_s.shape}"
+                f"tick, start and end must have one shape (n,), got {tick.shape}, {start_s.shape} and {end_s.shape}"
             )
         out = np.empty((len(names), len(tick), NODES))
         found = fit(self._model, self._trajectory, Spans(places(names), tick, start_s, end_s, out), self._sampling)

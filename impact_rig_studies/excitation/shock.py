@@ -34,7 +34,9 @@ import scipy
 
 from impact_rig.analysis.calibration import Calibration, Real
 from impact_rig.driver.hardware import Hardware
+from impact_rig.errors import ConfigError
 from impact_rig_studies.excitation.history import ABOVE, Replicated, ReplicatePlan, replicate
+from impact_rig_studies.excitation.signals import SHORTEST
 
 
 @attrs.frozen(kw_only=True)
@@ -54,8 +56,16 @@ class Pulse:
 
         Args:
             rate_hz: number of samples per second.
+
+        Raises:
+            ConfigError: the half sine or a compensating pulse has fewer than `SHORTEST` samples.
         """
         on, beside = round(self.duration_s * rate_hz), round(self.compensation_s * rate_hz)
+        if min(on, beside) < SHORTEST:
+            raise ConfigError(
+                f"duration_s and compensation_s must be at least {SHORTEST / rate_hz:g} s, {SHORTEST} samples at "
+                f"{rate_hz} Hz, got {self.duration_s:g} and {self.compensation_s:g}"
+            )
         pulse = self.peak * np.sin(np.pi * (np.arange(on) + 0.5) / on)
         hill = np.sin(np.pi * (np.arange(beside) + 0.5) / beside) ** 2
         before, after = np.zeros(on + 2 * beside), np.zeros(on + 2 * beside)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 BURST, PSEUDO, CHIRP = KINDS = ("burst_random", "pseudo_random", "chirp")
 MOST_SAMPLES = 50_000_000  # maximum number of samples of an excitation, which are in memory at once
+SHORTEST = 4  # minimum number of samples of a frame, or of the burst in it
 
 
 @attrs.frozen(kw_only=True)
@@ -58,7 +59,8 @@ class Excitation:
             rate_hz: number of samples per second.
 
         Raises:
-            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge.
+            ConfigError: the upper edge of the band is not below half of the rate, or not above the lower edge. Or a
+                frame, or the burst in it, is too short for the rate and the band.
             BudgetError: there would be more than `MOST_SAMPLES` samples.
         """
         import numpy as np  # noqa: PLC0415  # the help of commands needs the settings alone
@@ -71,8 +73,13 @@ class Excitation:
                 f"low_hz must be < high_hz, and high_hz < {0.5 * rate_hz:g} Hz, half of the sample rate, got low_hz = "
                 f"{self.low_hz:g} and high_hz = {self.high_hz:g}"
             )
+        on = round(self.burst * length) if self.kind == BURST else length
+        if on < SHORTEST:
+            raise ConfigError(
+                f"{'the burst of a frame' if self.kind == BURST else 'a frame'} must have at least {SHORTEST} samples "
+                f"at {rate_hz} Hz, got {on}: raise frame_s, now {self.frame_s:g} s, or burst, now {self.burst:g}"
+            )
         if self.kind == BURST:
-            on = round(self.burst * length)
             sections = scipy.signal.butter(4, (self.low_hz, self.high_hz), "bandpass", fs=rate_hz, output="sos")
             fade = scipy.signal.windows.tukey(on, 0.1)
             frames = np.zeros((self.frames, length))
@@ -83,6 +90,11 @@ class Excitation:
         if self.kind == PSEUDO:
             lines = np.fft.rfftfreq(length, 1.0 / rate_hz)
             inside = (lines >= self.low_hz) & (lines <= self.high_hz)
+            if not inside.any():
+                raise ConfigError(
+                    f"frame_s must be longer: with {self.frame_s:g} s the frequency lines are {lines[1]:g} Hz apart, "
+                    f"and none is between low_hz = {self.low_hz:g} and high_hz = {self.high_hz:g}"
+                )
             frame = np.fft.irfft(inside * np.exp(2j * np.pi * random.random(len(lines))), length)
         else:
             t = np.arange(length) / rate_hz

@@ -62,6 +62,21 @@ class _Axis:
     is_clock: bool = False
 
 
+def _shortened(
+    columns: Mapping[str, Column], column_units: Mapping[str, str]
+) -> tuple[Mapping[str, Column], Mapping[str, str]]:
+    """Return columns and units with headings of at most about `LONGEST_NAME` characters, each of them different.
+
+    A heading of a damaged file may be megabytes long.
+    """
+    names = UniqueNames(tuple(name for name in columns if len(name) <= LONGEST_NAME))
+    short = {name: name if len(name) <= LONGEST_NAME else names.unique(name[:LONGEST_NAME]) for name in columns}
+    return (
+        {short[name]: column for name, column in columns.items()},
+        {short.get(name, name): unit for name, unit in column_units.items()},
+    )
+
+
 def signals_of(
     path: Path,
     file_format: str,
@@ -89,7 +104,7 @@ def signals_of(
         rate_note: assumption about `rate_hz`, or the reason why it is None, for the user.
     """
     check_column_count(len(columns))
-    column_units = column_units or {}
+    columns, column_units = _shortened(columns, column_units or {})
     omitted = dict(left_out or {})
     texts: dict[str, list[str]] = {}
     numeric: dict[str, Column] = {}
@@ -98,7 +113,6 @@ def signals_of(
     dates: tuple[str, NDArray[np.int64]] | None = None
     for name, column in columns.items():
         values = np.asarray(column)
-        name = name[:LONGEST_NAME]  # noqa: PLW2901  # the heading of a damaged file may be megabytes long
         if values.dtype.kind in "SUO" and values.ndim == 1 and values.size:
             words = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in values.tolist()]
             if cells.is_time(words[0]) and (headings.is_time_name(headings.split_unit(name)[0]) or not numeric):

@@ -271,6 +271,29 @@ def test_an_invalid_plan_is_rejected_with_key_and_file(tmp_path, text, says):
 
 
 @pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"frame_s": 1e-4}, "the burst of a frame must have at least 4 samples at 2000 Hz, got 0"),
+        ({"burst": 1e-4}, "the burst of a frame must have at least 4 samples"),
+        ({"kind": CHIRP, "frame_s": 1e-3}, "a frame must have at least 4 samples at 2000 Hz, got 2"),
+        (
+            {"kind": PSEUDO, "frame_s": 0.1, "low_hz": 11.0, "high_hz": 19.0},
+            "none is between low_hz = 11 and high_hz = 19",
+        ),
+    ],
+)
+def test_a_signal_too_short_for_its_rate_or_band_is_rejected(values, says):
+    with pytest.raises(ConfigError, match=says):
+        Excitation(**values).samples(RATE_HZ)
+
+
+@pytest.mark.parametrize("values", [{"duration_s": 1e-4}, {"compensation_s": 1e-5}])
+def test_a_pulse_too_short_for_its_rate_is_rejected(values):
+    with pytest.raises(ConfigError, match=r"must be at least 0\.002 s, 4 samples at 2000 Hz"):
+        Pulse(**values).displacement(RATE_HZ)
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("{frequency_hz: [5, 10]}", "spectrum: missing: density"),

@@ -41,6 +41,7 @@ from impact_rig.system import budget
 from impact_rig_studies.importing import file_names, headings, readers
 from impact_rig_studies.importing.assignment import guess
 from impact_rig_studies.importing.cells import half_digit
+from impact_rig_studies.importing.columns import signals_of
 from impact_rig_studies.importing.conversion import convert
 from impact_rig_studies.importing.readers import delimited, hdf5, labview, universal, wav
 from impact_rig_studies.importing.signals import AbscissaKind, ImportedSignals, SignalKind
@@ -431,6 +432,16 @@ def test_too_many_columns_are_rejected_before_they_are_read(tmp_path: Path) -> N
         readers.read(tmp_path / "wide.csv")
 
 
+def test_columns_whose_long_headings_begin_alike_are_all_imported() -> None:
+    long = "a" * 300
+    columns = {"time [s]": TIME_S, f"{long}1": BASE, f"{long}2": LASER}
+    found = signals_of(PATH, "own", columns, {f"{long}2": "mm"})
+    base, laser = found.signals.values()
+    assert np.array_equal(base.values, BASE)
+    assert np.array_equal(laser.values, LASER)
+    assert (base.unit, laser.unit) == ("", "mm")
+
+
 # --- LabVIEW
 
 
@@ -471,6 +482,17 @@ def test_labview_measurement_files_are_read(
         assert one.unit == unit
         assert one.rate_hz == pytest.approx(RATE_HZ)
         assert one.values == pytest.approx(values, abs=1e-6)
+
+
+@pytest.mark.parametrize(("start", "joined"), [("0.2", True), ("NaN", False), ("0.3", False)])
+def test_only_a_labview_segment_that_continues_the_one_before_is_joined(start: str, joined: bool) -> None:
+    head = ["LabVIEW Measurement", "Separator\tTab", "X_Columns\tNo", "***End_of_Header***", ""]
+    lines = []
+    for begin in ("0.0", start):
+        lines += ["Channels\t1", f"X0\t{begin}", "Delta_X\t0.1", "***End_of_Header***", "X_Value\tbase"]
+        lines += ["\t1.0", "\t2.0"]
+    (one,) = labview.read_lines(PATH, head + lines).signals.values()
+    assert len(one.values) == (4 if joined else 2)
 
 
 # --- universal files

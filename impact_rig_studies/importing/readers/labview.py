@@ -191,7 +191,7 @@ def _joined(segments: Sequence[_Segment], decimal: str) -> int:
         begin, following = one.number("X0", 0, decimal), after.number("X0", 0, decimal)
         if after.names != one.names or step is None or begin is None or following is None:
             return number
-        if abs(following - begin - len(one.rows) * step) > CONTINUES * step:
+        if not abs(following - begin - len(one.rows) * step) <= CONTINUES * step:  # also if one is NaN
             return number
     return len(segments)
 

@@ -161,6 +161,12 @@ def test_a_sweep_that_cannot_continue_reports_the_reason_and_stops_the_drive(swe
     sweeping.wait_until(lambda: current_now(sweeping) == 0.0, "the shaker at rest")
 
 
+def test_no_sweep_starts_before_the_node_is_active(client: Client) -> None:
+    client.host(SteppedSineNode, parameter_overrides=ros_parameters({"autostart": False}))
+    with pytest.raises(ServiceFailedError, match="the node is unconfigured: configure and activate it first"):
+        client.trigger("stepped_sine/start")
+
+
 def test_no_sweep_starts_without_a_rig(client: Client) -> None:
     client.host(SteppedSineNode, parameter_overrides=ros_parameters({"begin": True}))
     client.wait_active("stepped_sine")
